@@ -35,6 +35,9 @@ def test_a_saved_scene_answers_the_same_and_fits_nothing(office, tmp_path, monke
 def parts_of(scene):
     """Every array that a scene is made of."""
     made = flatten(scene.levels, "levels") | {"points": scene.points, "ground": scene.ground}
+    made = {name: value for name, value in made.items() if "/edges/" not in name}  # which tell limits alone
+    for i, level in enumerate(scene.levels.levels):
+        made |= flatten(level.limits, f"levels/levels/{i}/limits")
     for i, field in enumerate(scene.ground_fields):
         made |= {f"field/{i}/{name}": value for name, value in field.to_arrays().items()}
     return made

@@ -155,6 +155,8 @@ def assert_equal_scenes(one, other, *agents):
     for agent in agents:
         ours, theirs = one.free_space(agent), other.free_space(agent)
         assert_equal_fields(one.obstacle_field(agent), other.obstacle_field(agent), queries[:, :2])
+        for a, b in zip(ours.obstacles, theirs.obstacles, strict=True):
+            np.testing.assert_array_equal(*(in_order(np.column_stack([each.points, each.kind])) for each in (a, b)))
         for a, b in zip(ours.quadtrees, theirs.quadtrees, strict=True):
             for name in ("code", "size", "free", "whole"):
                 np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
@@ -168,7 +170,7 @@ def assert_equal_findings(one, other):
     ours, theirs = (scene.perceived.segmentation.near.known for scene in (one, other))
     assert ours.keys() == theirs.keys()
     for name in ours:
-        for (_, one), (_, other) in zip(ours[name], theirs[name], strict=True):
+        for one, other in zip(ours[name].made, theirs[name].made, strict=True):
             for a, b in zip(one, other, strict=True):  # pairs come in another order
                 np.testing.assert_array_equal(*(map(in_order, (a, b)) if a.ndim > 1 else (a, b)), name)
 

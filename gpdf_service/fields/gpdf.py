@@ -7,6 +7,7 @@ and 8. K is cut at `CUT_RADIUS` length scales, so it is sparse.
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from typing import Any, Protocol
 
 import numpy as np
@@ -174,8 +175,9 @@ class Gpdf:
 
     def over(self, domain: Domain) -> Gpdf:
         """The same field with another domain."""
-        own = self.tree, self.alpha, self._discs, self.noise
-        return Gpdf(*own, self.kernel, domain)
+        made = copy(self)
+        made.domain = domain
+        return made
 
     def _off_surface(self) -> FloatArray:
         """How far each point may be from the surface by its noise and a bend [m], shape (n,)."""

@@ -95,7 +95,9 @@ class _Rows(NamedTuple):
 def _rows_of(lattice: Lattice) -> _Rows:
     corner = np.ascontiguousarray(np.indices([-(-size // TILE) for size in lattice.height.shape]).reshape(2, -1).T)
     tile = TILE * corner[np.argsort(morton(corner))]
-    count = np.array([np.count_nonzero(~np.isnan(lattice.height[x : x + TILE, y : y + TILE])) for x, y in tile])
+    rows, columns = (np.arange(0, size, TILE) for size in lattice.height.shape)
+    held = np.add.reduceat(~np.isnan(lattice.height), rows, axis=0, dtype=np.int32)
+    count = np.add.reduceat(held, columns, axis=1)[tuple(tile.T // TILE)]
     return _Rows(tile[count > 0], np.concatenate([[0], np.cumsum(count[count > 0])]))
 
 
@@ -125,8 +127,7 @@ def fit_lattice(lattice: Lattice, domain: Domain, former: tuple[Gpdf, Lattice] |
 
     source, before = _sources(lattice, rows, solver.reach, former)
     if former is not None:
-        for k in np.flatnonzero(source >= 0).tolist():
-            own, old = rows.of(k), before.of(source[k])
+        for own, old in _taken_over(rows, before, source):
             points[own], alpha[own] = former[0].points[old], former[0].alpha[old]
             if discs is not None:
                 discs[own] = former[0].discs[old]
@@ -203,6 +204,14 @@ def _sources(lattice: Lattice, rows: _Rows, reach: int, former: tuple[Gpdf, Latt
         if not other[max(x - reach, 0) : x + TILE + reach, max(y - reach, 0) : y + TILE + reach].any():
             source[k] = number[x, y]
     return source, before
+
+
+def _taken_over(rows: _Rows, before: _Rows, source: IntArray) -> list[tuple[slice, slice]]:
+    """Rows of the tiles with a source, and theirs before: of tiles that follow one another here and there in one."""
+    kept = np.flatnonzero(source >= 0)
+    runs = np.split(kept, np.flatnonzero(np.diff(kept) + np.diff(source[kept]) > 2) + 1) if len(kept) else []
+    ends = [(run[0], run[-1] + 1, source[run[0]], source[run[-1]] + 1) for run in runs]
+    return [(slice(*rows.first[[a, b]].tolist()), slice(*before.first[[c, d]].tolist())) for a, b, c, d in ends]
 
 
 def _is_like(one: Lattice, other: Lattice) -> bool:

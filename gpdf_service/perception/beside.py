@@ -10,11 +10,12 @@ strip, by the pairs that go on into the next one, and by a graph of these pieces
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from itertools import chain, pairwise
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
 from math import ceil
 from operator import is_
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception.boxes import Box, span
 from gpdf_service.perception.columns import box_spliced, box_unlike, unlike_cells
-from gpdf_service.perception.layers import PER_NODE, Layers, crop_layers
+from gpdf_service.perception.layers import Layers, crop_layers, flat
 from gpdf_service.perception.told import grown
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -32,8 +33,15 @@ Strips = tuple[NDArray[Any], ...]
 """What is told of nodes, an array for the nodes of each strip; versions share those that are the same."""
 Answer = tuple[NDArray[Any], ...]
 """What one question tells of one strip."""
-Told = list[tuple[tuple[Any, ...], Answer]]
-"""Of each strip what its answer was made of, and the answer."""
+Spans = Sequence[slice]
+"""For each strip those that decide on it."""
+
+
+class Told(NamedTuple):
+    """What a question was told: what is `given` for the strips, and what was `made` of it for each of them."""
+
+    given: tuple[Sequence[object], ...]
+    made: list[Answer]
 
 
 Other = tuple[object, object, tuple[int, int, int, int]]
@@ -80,21 +88,21 @@ class Beside:
                 all of them: arrays of shape (k,). Returns such arrays.
             given: For each node.
         """
-        of, was = self.within(ceil(reach / ROWS), given), self.former.get(name)
+        was, spans = self.former.get(name), spans_of(len(self.nodes), ceil(reach / ROWS))
 
         def make(begin: int, end: int) -> list[Answer]:
-            box = self._window(of, was, begin, end, reach)
+            box = self._window(given, was, slice(begin, end), reach)
             if was is not None and box[0].start == box[0].stop:
-                return [was[i][1] for i in range(begin, end)]  # what is other is further away
+                return was.made[begin:end]  # what is other is further away
             part, asked, _, told = self._part(box, reach, given)
             made = answer(part, asked, *told)
             if was is None:
                 return [tuple(values[a:b] for values in made) for a, b in pairwise(self.first)]
-            before = zip(*(was[i][1] for i in range(begin, end)), strict=True)
+            before = zip(*was.made[begin:end], strict=True)
             own = [self._spliced(begin, box, new[asked], old) for new, old in zip(made, before, strict=True)]
             return list(zip(*own, strict=True))
 
-        return self.told_nodes(name, of, make)
+        return self.told_nodes(name, given, make, spans)
 
     def among(self, name: str, nodes: IntArray) -> Strips:
         """Which nodes are among some, by their numbers."""
@@ -106,11 +114,11 @@ class Beside:
         self, name: str, reach: int, answer: Callable[..., tuple[IntArray, IntArray]], *given: Strips
     ) -> tuple[IntArray, IntArray]:
         """Pairs of nodes that a question is told, of each of which the first node decides; see `around`."""
-        of, was, (_, ny) = self.within(ceil(reach / ROWS), given), self.former.get(name), self.layers.shape
+        was, ny, spans = self.former.get(name), self.layers.shape[1], spans_of(len(self.nodes), ceil(reach / ROWS))
         start, cells = self.layers.start, self._cells()
 
         def make(begin: int, end: int) -> list[Answer]:
-            box = self._window(of, was, begin, end, reach)
+            box = self._window(given, was, slice(begin, end), reach)
             part, asked, nodes, told = self._part(box, reach, given)
             ends = answer(part, *told)
             a, b = (each[asked[ends[0]]] for each in ends)
@@ -120,11 +128,10 @@ class Beside:
             made = [fresh[x:y] for x, y in pairwise(np.searchsorted(cell[0], cells[begin : end + 1]))]
             if was is None:
                 return [(each,) for each in made]
-            before = [was[i][1][0] for i in range(begin, end)]
-            stay = [each[~_within(each[:, 0], ny, box)] for each in before]
+            stay = [each[~_within(each[:, 0], ny, box)] for (each,) in was.made[begin:end]]
             return [(np.concatenate(both),) for both in zip(stay, made, strict=True)]
 
-        pairs = _flat([each[0] for each in self.told(name, of, make)])
+        pairs = flat([each for (each,) in self.told(name, given, make, spans)])
         return start[pairs[:, 0]] + pairs[:, 2], start[pairs[:, 1]] + pairs[:, 3]
 
     def few(
@@ -163,15 +170,11 @@ class Beside:
                 part = self.strips(spans[i].start, spans[i].stop)
                 at = asked[i] + (first[i] - first[spans[i].start])
                 box = np.array([ROWS * spans[i].start, ROWS * spans[i].stop])
-                return (answer(part, at, box, *(each[i] for each in held), *(_flat(each[spans[i]]) for each in given)),)
+                return (answer(part, at, box, *(each[i] for each in held), *(flat(each[spans[i]]) for each in given)),)
 
             return each_strip(one, begin, end)
 
-        of = [
-            (asked[i], *(each[i] for each in held), *(one for each in (self.nodes, *given) for one in each[spans[i]]))
-            for i in range(size)
-        ]
-        return _flat([each[0] for each in self.told(name, of, make)])
+        return flat([each for (each,) in self.told(name, (asked, *held, *given), make, spans)])
 
     def where(self, name: str, kind: Strips, *given: Strips) -> tuple[NDArray[Any], ...]:
         """The numbers of the nodes that are of a `kind`, shape (m,), and what is given for them."""
@@ -181,38 +184,45 @@ class Beside:
             rows = [np.flatnonzero(kind[i]) for i in range(begin, end)]
             return [(row, *(each[begin + i][row] for each in given)) for i, row in enumerate(rows)]
 
-        rows, *told = zip(*self.told(f"{name}, where", self.within(0, (kind, *given)), make), strict=True)
-        return np.concatenate([row + begin for row, begin in zip(rows, first, strict=False)]), *map(_flat, told)
+        rows, *told = zip(*self.told(f"{name}, where", (kind, *given), make), strict=True)
+        return np.concatenate([row + begin for row, begin in zip(rows, first, strict=False)]), *map(flat, told)
 
     def same(self, name: str, own: Sequence[NDArray[Any]]) -> Strips:
         """An array of each strip, and the one that was told before where it is the same."""
-        was = self.former.get(name)
-        made = [(each,) if was is None else _as_it_was((each,), was[i][1]) for i, each in enumerate(own)]
-        self.known[name] = [((), each) for each in made]
-        return tuple(each[0] for each in made)
+        was, made = self.former.get(name), list[Answer]((each,) for each in own)
+        self.known[name] = Told((), made if was is None else list(map(_as_it_was, made, was.made)))
+        return tuple(each for (each,) in self.known[name].made)
 
     def given(self, name: str, values: NDArray[Any]) -> Strips:
         """The values of all nodes, shape (k,), by strips; nobody writes over them."""
-        strips = np.split(values, self.first[1:-1])
-        return self.told_nodes(name, [(each,) for each in strips], lambda a, b: [(each,) for each in strips[a:b]])[0]
+        strips = self.same(name, [values[a:b] for a, b in pairwise(self.first)])
+        self._note(name)
+        return strips
 
-    def told(self, name: str, of: Sequence[tuple[Any, ...]], make: Callable[[int, int], list[Answer]]) -> list[Answer]:
+    def told(
+        self,
+        name: str,
+        given: tuple[Strips, ...],
+        make: Callable[[int, int], list[Answer]],
+        spans: Spans | None = None,
+    ) -> list[Answer]:
         """The answer to a question for each strip.
 
         Args:
             name: Of the question.
-            of: What decides on each answer: the former one stays while these are the same objects.
+            given: For each node, which decides on the answers with them: the former ones stay while these are the same
+                objects.
             make: Called with the first and behind the last of strips that are asked. Returns their answers.
+            spans: The strips in which they decide on each one's answer; by itself if that is all.
         """
-        was, found = self.former.get(name), []
+        was, of = self.former.get(name), (self.nodes, *given)
         if was is None:
-            found = make(0, len(of))
-        else:
-            stay = [len(now) == len(old[0]) and all(map(is_, now, old[0])) for now, old in zip(of, was, strict=True)]
-            found = [old for _, old in was]
-            for begin, end in _runs(stay):
-                found[begin:end] = map(_as_it_was, make(begin, end), found[begin:end])
-        self.known[name] = list(zip(of, found, strict=True))
+            self.known[name] = Told(of, make(0, len(self.nodes)))
+            return self.known[name].made
+        found = was.made.copy()
+        for begin, end in _runs(_asked(of, was.given, spans)):
+            found[begin:end] = map(_as_it_was, make(begin, end), found[begin:end])
+        self.known[name] = Told(of, found)
         return found
 
     def strips_of(self, points: FloatArray) -> tuple[int, int]:
@@ -243,43 +253,45 @@ class Beside:
         (nx, ny), rows = self.layers.shape, ROWS * np.arange(len(self.nodes) + 1)
         return np.minimum(rows, nx) * ny
 
-    def within(self, halo: int, given: Sequence[Strips]) -> list[tuple[Any, ...]]:
-        """The nodes of each strip and of some before and behind it, and what is given for them."""
-        all_ = self.nodes, *given
-        if halo == 0:
-            return list(zip(*all_, strict=True))
-        around = [slice(max(i - halo, 0), i + halo + 1) for i in range(len(self.nodes))]
-        return [tuple(chain.from_iterable([each[span] for each in all_])) for span in around]
-
     def told_nodes(
-        self, name: str, of: list[tuple[Any, ...]], make: Callable[[int, int], list[Answer]]
+        self,
+        name: str,
+        given: tuple[Strips, ...],
+        make: Callable[[int, int], list[Answer]],
+        spans: Spans | None = None,
     ) -> tuple[Strips, ...]:
         """`told` of what is told of each node, and into `others` where that is other than before."""
-        found, was = self.told(name, of, make), self.former.get(name)
-        cells, ny = self._cells(), self.layers.shape[1]
-        for i, (_, before) in enumerate(was or ()):
-            for now, old in zip(found[i], before, strict=True):
+        found = self.told(name, given, make, spans)
+        self._note(name)
+        return tuple(zip(*found, strict=True))
+
+    def _note(self, name: str) -> None:
+        """Write into `others` where a question was told otherwise of nodes than before."""
+        cells, ny, was = self._cells(), self.layers.shape[1], self.former.get(name)
+        for i, (found, before) in enumerate(zip(self.known[name].made, was.made, strict=True) if was else ()):
+            for now, old in zip(found, before, strict=True) if found is not before else ():
                 if now is not old:
                     ours, theirs = now.view(f"u{now.itemsize}"), old.view(f"u{old.itemsize}")
                     where = box_unlike(theirs, self.was, ours, self.layers.start, (cells[i], cells[i + 1]), ny)
                     self.others[id(now)] = now, old, where
-        return tuple(zip(*found, strict=True))
 
-    def _window(self, of: list[tuple[Any, ...]], was: Told | None, begin: int, end: int, reach: int) -> Box:
+    def _window(self, given: tuple[Strips, ...], was: Told | None, strips: slice, reach: int) -> Box:
         """The box of cells of some strips in which what they are told may be other than before."""
-        (nx, ny), rows = self.layers.shape, (ROWS * begin, min(ROWS * end, self.layers.shape[0]))
+        (nx, ny), halo = self.layers.shape, ceil(reach / ROWS)
+        rows = ROWS * strips.start, min(ROWS * strips.stop, nx)
         if was is None:
             return slice(*rows), slice(0, ny)
+        near = slice(max(strips.start - halo, 0), strips.stop + halo)
         boxes = {
             box if one is now and other is old else (0, nx, 0, ny)
-            for i in range(begin, end)
-            for now, old in zip(of[i], was[i][0], strict=True)
+            for ours, theirs in zip((self.nodes, *given), was.given, strict=True)
+            for now, old in zip(ours[near], theirs[near], strict=True)
             if now is not old
             for one, other, box in (self.others.get(id(now), (None, None, (0, nx, 0, ny))),)
         }
-        left, right, near, far = zip(*boxes, strict=True)
+        left, right, near_by, far = zip(*boxes, strict=True)
         first, last = max(min(left) - reach, rows[0]), min(max(right) + reach, rows[1])
-        return slice(first, max(first, last)), slice(max(min(near) - reach, 0), min(max(far) + reach, ny))
+        return slice(first, max(first, last)), slice(max(min(near_by) - reach, 0), min(max(far) + reach, ny))
 
     def _part(self, box: Box, reach: int, given: Sequence[Strips]) -> tuple[Layers, BoolArray, IntArray | None, Answer]:
         """Layers of a box of cells and as many around, which of their nodes are in it, and their numbers among all.
@@ -288,12 +300,12 @@ class Beside:
         """
         layers, (rows, columns) = self.layers, grown(box, reach, self.layers.shape)
         if (rows.stop - rows.start, columns.stop - columns.start) == layers.shape:
-            part, nodes, told = layers, None, tuple(map(_flat, given))
+            part, nodes, told = layers, None, tuple(map(flat, given))
         else:
             strips = slice(rows.start // ROWS, ceil(rows.stop / ROWS))
             part, nodes = crop_layers(layers, (rows, columns))
             own = nodes - self.first[strips.start]
-            told = tuple(_flat(each[strips])[own] for each in given)
+            told = tuple(flat(each[strips])[own] for each in given)
         inside = np.zeros(part.shape, dtype=bool)
         x, y = (
             slice(own.start - outer.start, own.stop - outer.start)
@@ -304,16 +316,7 @@ class Beside:
 
     def strips(self, begin: int, end: int) -> Layers:
         """Layers of some strips; views, as they are asked for once for each strip."""
-        layers, (nx, ny) = self.layers, self.layers.shape
-        low, high = ROWS * begin, min(ROWS * end, nx)
-        a, b = layers.start[[low * ny, high * ny]]
-        told = {name: getattr(layers, name)[a:b] for name in PER_NODE}
-        told["cell"] = told["cell"] - low * ny
-        origin, start = (
-            layers.origin + layers.cell_width * np.array([low, 0]),
-            layers.start[low * ny : high * ny + 1] - a,
-        )
-        return replace(layers, **told, origin=origin, shape=(high - low, ny), start=start)
+        return self.layers.rows(ROWS * begin, min(ROWS * end, self.layers.shape[0]))
 
     def _spliced(self, begin: int, box: Box, fresh: NDArray[Any], before: Strips) -> Strips:
         """What is told of the nodes of some strips, one after another: in a box of cells the `fresh` values."""
@@ -337,15 +340,32 @@ def each_strip(one: Callable[[int], Answer], begin: int, end: int) -> list[Answe
     return run_parallel(one, asked) if len(asked) > FEW else [one(i) for i in asked]
 
 
-def _runs(stay: list[bool]) -> list[tuple[int, int]]:
-    """First and behind the last of each run of strips that do not stay as they are."""
-    ends = np.flatnonzero(np.diff(np.array([True, *stay, True])))
-    return list(zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True))
+@lru_cache
+def spans_of(size: int, before: int, behind: int | None = None) -> Spans:
+    """For each of so many strips those `before` it, itself, and those `behind` it: as many, if that is not told."""
+    last = before if behind is None else behind
+    return [slice(max(i - before, 0), min(i + last + 1, size)) for i in range(size)]
+
+
+def _asked(now: tuple[Sequence[object], ...], was: tuple[Sequence[object], ...], spans: Spans | None) -> list[int]:
+    """Strips for which something else is given than before."""
+    pairs = (zip(ours, theirs, strict=True) for ours, theirs in zip(now, was, strict=True) if ours is not theirs)
+    other = sorted({i for both in pairs for i, (one, another) in enumerate(both) if one is not another})
+    if spans is None or not other:
+        return other
+    return [i for i, span in enumerate(spans) if any(span.start <= k < span.stop for k in other)]
+
+
+def _runs(asked: list[int]) -> list[tuple[int, int]]:
+    """First and behind the last of each run of numbers that ascend."""
+    ends = [k for k in range(1, len(asked)) if asked[k] > asked[k - 1] + 1]
+    return [(asked[a], asked[b - 1] + 1) for a, b in pairwise([0, *ends, len(asked)]) if a < b]
 
 
 def _as_it_was(now: Answer, was: Answer) -> Answer:
     """An answer, with the former arrays where they are the same by their bits: NaN is NaN."""
-    return tuple(old if _alike(new, old) else new for new, old in zip(now, was, strict=True))
+    made = tuple(old if _alike(new, old) else new for new, old in zip(now, was, strict=True))
+    return was if all(map(is_, made, was)) else made
 
 
 def _alike(one: NDArray[Any], other: NDArray[Any]) -> bool:
@@ -357,14 +377,6 @@ def _within(cell: IntArray, ny: int, box: Box) -> BoolArray:
     x, y = np.divmod(cell, ny)
     inside: BoolArray = (x >= box[0].start) & (x < box[0].stop) & (y >= box[1].start) & (y < box[1].stop)
     return inside
-
-
-def _flat(strips: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """All in one: what they were cut from in a build, where they are that."""
-    whole = strips[0].base
-    if whole is not None and all(each.base is whole for each in strips) and sum(map(len, strips)) == len(whole):
-        return whole
-    return np.concatenate(strips)
 
 
 def beside(layers: Layers) -> Beside:

@@ -14,8 +14,11 @@ from gpdf_service.perception.pairs import Columns
 from gpdf_service.perception.rows import INDEX
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
-Grid = tuple[FloatArray, float, int, IntArray, FloatArray]
-"""What tells the node of a point: corner and width of cells [m], how many a row has, first nodes, and tops [m]."""
+Grid = tuple[FloatArray, float, int, IntArray, FloatArray, int]
+"""What tells the node of a point: corner and width of cells [m], how many a row has, first nodes; tops of nodes [m]
+from one on, and that one's number."""
+_Rest = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
+"""What of nodes is asked for in windows alone; see `Layers`."""
 BAND = 0.04
 """[m] Thickness of a surface as a scanner of a centimetre's noise sees it."""
 _FEW = 32
@@ -145,10 +148,10 @@ def cut_columns(
 @njit(cache=True, nogil=True)
 def node_at(place: tuple[float, float, float], grid: Grid) -> Any:  # noqa: ANN401
     """The node of a point that layers were built from, the lowest of its column that is as high; see `Layers`."""
-    (x, y, z), (origin, width, ny, start, top) = place, grid
+    (x, y, z), (origin, width, ny, start, top, begin) = place, grid
     column = int(np.floor((x - origin[0]) / width)) * ny + int(np.floor((y - origin[1]) / width))
     n, last = start[column], start[column + 1] - 1
-    while n < last and top[n] < z:
+    while n < last and top[n - begin] < z:
         n += 1
     return n
 
@@ -243,27 +246,28 @@ def ends_in_plan(cell: IntArray, ny: int, nodes: IntArray) -> tuple[tuple[int, i
 
 
 @njit(cache=True, nogil=True)
-def heights_in_plan(
+def put_heights_in_plan(
     columns: Columns,
     nodes: IntArray,
     place: FloatArray,
+    begin: int,
     origin: FloatArray,
     width: float,
     first: tuple[int, int],
-    shape: tuple[int, int],
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Height [m] of the one of the `nodes` in each cell, NaN where there is none, and its place from the cell's centre.
+    made: NDArray[np.float32],
+    off: NDArray[np.float32],
+) -> None:
+    """Write the height [m] of the one of the `nodes` in each cell, and its place from the cell's centre.
 
-    Shapes (nx, ny) and (nx, ny, 2), of a box of cells with that `first` one, `origin` [m] and shape.
+    Into arrays of shapes (nx, ny) and (nx, ny, 2), of a box of cells with that `first` one and `origin` [m]. Places
+    are told of nodes from number `begin` on.
     """
     cell, _, (_, columns_y), height, _ = columns
-    made, off = np.full(shape, np.nan, np.float32), np.zeros((*shape, 2), np.float32)
     for i in nodes:
         x, y = cell[i] // columns_y - first[0], cell[i] % columns_y - first[1]
         made[x, y] = height[i]
-        off[x, y, 0] = place[i, 0] - origin[0] - (x + 0.5) * width
-        off[x, y, 1] = place[i, 1] - origin[1] - (y + 0.5) * width
-    return made, off
+        off[x, y, 0] = place[i - begin, 0] - origin[0] - (x + 0.5) * width
+        off[x, y, 1] = place[i - begin, 1] - origin[1] - (y + 0.5) * width
 
 
 @njit(cache=True, nogil=True)
@@ -294,15 +298,13 @@ def nodes_in_box(
 
 
 @njit(cache=True, nogil=True)
-def told_of(nodes: IntArray, place: FloatArray, told: tuple[FloatArray, ...]) -> tuple[FloatArray, FloatArray]:
-    """Places of some nodes, shape (k, 2), and what else is `told` of them, one row each."""
-    places, made = np.empty((len(nodes), 2)), np.empty((len(told), len(nodes)))
+def take_rest(nodes: IntArray, told: _Rest, made: _Rest) -> None:
+    """Write what is `told` of some nodes: their places, shape (k, 2), and the others, shape (k,)."""
+    (place, top, headroom, middle, face), (places, tops, rooms, middles, faces) = told, made
     for i in range(len(nodes)):
-        places[i, 0], places[i, 1] = place[nodes[i], 0], place[nodes[i], 1]
-    for k in range(len(told)):
-        for i in range(len(nodes)):
-            made[k, i] = told[k][nodes[i]]
-    return places, made
+        n = nodes[i]
+        places[i, 0], places[i, 1] = place[n, 0], place[n, 1]
+        tops[i], rooms[i], middles[i], faces[i] = top[n], headroom[n], middle[n], face[n]
 
 
 Runs = list[tuple[bool, slice]]

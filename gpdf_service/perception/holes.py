@@ -13,9 +13,10 @@ from scipy import ndimage
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.bend import FINE, FLAT, bend_at, make_room, reach_of
-from gpdf_service.perception.boxes import Box, highest_around, lowest_around, widened
+from gpdf_service.perception.boxes import Box, highest_around, lowest_around, widened, window
 from gpdf_service.perception.columns import by_cell
 from gpdf_service.perception.layers import widest_cell
+from gpdf_service.perception.nodes import count_labels
 from gpdf_service.perception.notches import fill_notches, notches_reach
 from gpdf_service.perception.rows import extent_within, under
 from gpdf_service.perception.surface import (
@@ -24,16 +25,19 @@ from gpdf_service.perception.surface import (
     UNKNOWN,
     HeightMap,
     Nearest,
+    cropped,
     nearest_seen,
     without,
 )
-from gpdf_service.perception.told import Grid, Told
+from gpdf_service.perception.told import Grid
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 GAP_CELLS = 4
 """Empty cells side by side that chance alone explains, at one in ten empty."""
 RING_SHARE = 0.95
 """[-] Of the ground around a hole that must not lie under the plane that fills it: the rest is a scan's noise."""
+RING = 2
+"""Cells around a hole whose ground tells of it."""
 PLANE_SHARE = 0.5
 """[-] Of the ground around a hole that must lie on that plane; the rest, higher, is a chair's feet or a step up."""
 OPEN_SHARE = 0.5
@@ -174,6 +178,8 @@ def find_rims(surface: HeightMap) -> NDArray[np.float32]:
 
 def _walled_down(surface: HeightMap, walls: BoolArray) -> BoolArray:
     """Holes with `walls` under more of their rim than a scan's noise explains."""
+    if not walls.any():
+        return walls
     unknown = surface.state == UNKNOWN
     label, count = ndimage.label(unknown)
     at = highest_around(label, 1)  # what is at two holes is at the last one
@@ -280,25 +286,52 @@ def _fill_planes(
     That is at least `OPEN_SHARE` of its rim. What has one of the `ends` in it, or in the cells of which it goes on, is
     no hole. One is as it was if all that it is told by, two cells around it too, is as it was.
     """
-    label, count = ndimage.label(holes)
     given = holes, known, ends, ground[0]
-    again = grid.felt(name, 2, *given)
-    shut, asked = (np.bincount(label[cells], minlength=count + 1) > 0 for cells in (holes & ends, holes & again))
-    shut = ~shut
-    shut[0] = False
-    before, stays = grid.former[name].made if name in grid.former else ground, (shut & ~asked)[label]
-    made = np.where(stays, before[0], ground[0]), np.where(stays, before[1], ground[1])
-    start, order = by_cell(label.ravel(), count + 1)
-    _fill(*made, (label, start, order), np.flatnonzero(shut & asked), known, cell_width)
-    grid.known[name] = Told(given, made)
-    return made
+    again = grid.felt(name, RING, *given)
+    parts: list[tuple[Box, tuple[NDArray[Any], ...]]] = []
+    if again.any():
+        filled = grid.former[name].made[1] != ground[1] if name in grid.former else np.zeros_like(holes)
+        box, label, shut = _pieces_near(holes, ends, again, filled)
+        height, state = ground[0][box].copy(), ground[1][box].copy()
+        start, order = by_cell(label.ravel(), len(shut))
+        _fill(height, state, (label, start, order), np.flatnonzero(shut), known[box], cell_width)
+        parts.append((box, (height, state)))
+    height, state = grid.put(name, given, again, parts)
+    return height, state
+
+
+def _pieces_near(
+    cells: BoolArray, ends: BoolArray, again: BoolArray, changed: BoolArray
+) -> tuple[Box, IntArray, BoolArray]:
+    """Connected `cells`, all shape (nx, ny), that are asked about `again`, within a box that tells which have no end.
+
+    A piece of which something is asked is asked as a whole: its cells get marked. One with no end is in the box wholly,
+    with `RING` cells around; and so is one with an end if it had none before: then its cells are `changed`.
+
+    Returns:
+        The box, the number of each one's piece in it, and which pieces are asked and have no end, (pieces + 1,).
+    """
+    by, (nx, ny) = 4 * RING, cells.shape
+    while True:
+        box = rows, columns = window(again, by)
+        label, count = ndimage.label(cells[box])
+        rim = np.zeros(label.shape, dtype=bool)
+        rim[: RING * (rows.start > 0)] = rim[label.shape[0] - RING * (rows.stop < nx) :] = True
+        rim[:, : RING * (columns.start > 0)] = rim[:, label.shape[1] - RING * (columns.stop < ny) :] = True
+        kinds = again[box], ends[box], rim, rim & changed[box]
+        asked, ended, cut, was = (count_labels(label.ravel(), kind.ravel(), count + 1) > 0 for kind in kinds)
+        asked[0] = False
+        if not (asked & np.where(ended, was, cut)).any():
+            again[box] |= asked[label]
+            return box, label, asked & ~ended
+        by *= 4
 
 
 @njit(cache=True, nogil=True)
 def _fill(
     height: NDArray[np.float32],
     state: NDArray[np.uint8],
-    labelled: tuple[NDArray[np.int32], IntArray, IntArray],
+    labelled: tuple[IntArray, IntArray, IntArray],
     holes: IntArray,
     known: BoolArray,
     cell_width: float,
@@ -325,7 +358,7 @@ def _fill(
 def _ring(
     cells: IntArray,
     hole: int,
-    label: NDArray[np.int32],
+    label: IntArray,
     known: BoolArray,
     height: NDArray[np.float32],
     met: IntArray,
@@ -341,8 +374,8 @@ def _ring(
     count, beside, ground = 0, 0, 0
     for c in cells:
         x, y = c // ny, c % ny
-        for u in range(max(x - 2, 0), min(x + 3, nx)):
-            for v in range(max(y - 2, 0), min(y + 3, ny)):
+        for u in range(max(x - RING, 0), min(x + RING + 1, nx)):
+            for v in range(max(y - RING, 0), min(y + RING + 1, ny)):
                 if label[u, v] == hole:
                     continue
                 if known[u, v] and met[u, v] < 2 * hole:
@@ -374,7 +407,7 @@ def _plane_under(places: FloatArray, heights: FloatArray, cell_width: float) -> 
     return plane, on.mean() >= PLANE_SHARE and (over < -cell_width).mean() <= 1.0 - RING_SHARE
 
 
-def without_enclosed(surface: HeightMap, low: BoolArray) -> HeightMap:
+def without_enclosed(surface: HeightMap, low: BoolArray, grid: Grid) -> HeightMap:
     """Take back inferred ground that material at ground level shuts off from all seen ground: a cupboard's inside.
 
     Nobody has seen that it is hollow, so it is not called free. What is no wider than a gap is left: things around it
@@ -383,9 +416,16 @@ def without_enclosed(surface: HeightMap, low: BoolArray) -> HeightMap:
     Args:
         surface: After `fill_holes`.
         low: Cells with material that the lowest body cannot pass under, shape (nx, ny).
+        grid: What was asked of its cells.
     """
-    label, count = ndimage.label((surface.state != UNKNOWN) & ~low)
-    seen = np.zeros(count + 1, dtype=bool)
-    seen[label[(surface.state == OBSERVED) & ~low]] = True
-    wide = np.bincount(label.ravel()) > GAP_CELLS
-    return without(surface, (surface.state == INFERRED) & ~low & (wide & ~seen)[label])
+    name, given = "open to what was seen", (surface.height, surface.state, low)
+    again, parts = grid.felt(name, 1, *given), []
+    if again.any():
+        taken = grid.former[name].made[1] != surface.state if name in grid.former else np.zeros_like(low)
+        free = (surface.state != UNKNOWN) & ~low
+        box, label, shut = _pieces_near(free, surface.state == OBSERVED, again, taken)
+        wide = np.bincount(label.ravel(), minlength=len(shut)) > GAP_CELLS
+        part = without(cropped(surface, box), (wide & shut)[label])
+        parts.append((box, (part.height, part.state)))
+    height, state = grid.put(name, given, again, parts)
+    return replace(surface, height=height, state=state)

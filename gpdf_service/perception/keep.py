@@ -12,12 +12,14 @@ from gpdf_service.errors import SceneFileError
 from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception.columns import by_cell
 from gpdf_service.perception.levels import Levels, in_order
+from gpdf_service.perception.limits import GroundLimits, ObstacleKind
 from gpdf_service.perception.rows import chosen_rows
 from gpdf_service.perception.surface import HeightMap, cells_within
 from gpdf_service.store import Arrays, flatten, restore
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
-_POINTS, _ROWS = "levels/levels/{}/other_points", "levels/levels/{}/other_rows"
+_LEVEL, _EDGES = "levels/levels/{}", "/edges"
+_POINTS, _ROWS, _LIMITS = (f"{_LEVEL}/{name}" for name in ("other_points", "other_rows", "limits"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,9 +31,10 @@ class _Ground:
 
 def levels_to_arrays(levels: Levels, points: FloatArray) -> Arrays:
     """All that `levels_from_arrays` needs beside the cloud, `points` (n, 3). Of a cured one points are others."""
-    made = flatten(levels, "levels")
+    made = {name: each for name, each in flatten(levels, "levels").items() if _EDGES not in name}
     ordered: dict[tuple[object, ...], tuple[IntArray, IntArray]] = {}
     for i, level in enumerate(levels.levels):
+        made |= flatten(level.limits, _LIMITS.format(i))  # which tell the edges, too
         grid = level.surface
         key = *grid.origin.tolist(), grid.cell_width, *grid.state.shape
         if key not in ordered:
@@ -53,14 +56,25 @@ def levels_from_arrays(arrays: Arrays, points: FloatArray) -> Levels:
 
     def one(numbered: tuple[int, _Ground]) -> Arrays:
         i, ground = numbered
+        limits = restore(GroundLimits, arrays, _LIMITS.format(i))
+        found = flatten(_edges(ground.surface, limits), _LEVEL.format(i) + _EDGES)
         if (chosen := arrays.get(_ROWS.format(i))) is None:
-            return {}
+            return found
         if chosen.shape != (len(points),):
             raise SceneFileError("scene file", "it marks points that are not there", "Build the scene again.")
-        return {_POINTS.format(i): in_order(chosen_rows(points, chosen), ground.surface)[0]}
+        return found | {_POINTS.format(i): in_order(chosen_rows(points, chosen), ground.surface)[0]}
 
     levels: Levels = restore(Levels, ChainMap(*run_parallel(one, grids), arrays), "levels")
     return levels
+
+
+def _edges(surface: HeightMap, limits: GroundLimits) -> tuple[BoolArray, BoolArray]:
+    """The edges of a level that has these limits: what no limit is at is guarded."""
+    made = np.ones(surface.state.shape, dtype=bool), np.zeros(surface.state.shape, dtype=bool)
+    for each, kind in zip(made, (ObstacleKind.UNKNOWN, ObstacleKind.MATERIAL), strict=True):
+        x, y, _ = surface.cells(limits.points[limits.kind == kind])
+        each[x, y] = kind == ObstacleKind.MATERIAL
+    return made
 
 
 @njit(cache=True, nogil=True)

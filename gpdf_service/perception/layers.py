@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.boxes import Box, widened
+from gpdf_service.perception.boxes import Box, widened, window
 from gpdf_service.perception.columns import (
     Grid,
     by_cell,
@@ -23,7 +26,7 @@ from gpdf_service.perception.columns import (
     nodes_in_box,
     runs_of,
     starts_spliced,
-    told_of,
+    take_rest,
     tops_of_boards,
     values_spliced,
     write_nodes,
@@ -118,6 +121,30 @@ def layer_gap(width: float, config: PerceptionConfig) -> float:
     return max(config.min_headroom, 1.5 * width)
 
 
+STRIP = 64
+"""Rows of cells a strip: what changes in a room touches one or two."""
+
+
+def flat(strips: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """All in one: what they were cut from in a build, where they are that."""
+    if len(strips) == 1:
+        return strips[0]
+    whole = strips[0].base
+    if whole is not None and all(each.base is whole for each in strips) and sum(map(len, strips)) == len(whole):
+        return whole
+    return np.concatenate(strips)
+
+
+class Rest(NamedTuple):
+    """What of the nodes of a strip is asked for in windows alone; see `Layers`."""
+
+    place: FloatArray
+    top: FloatArray
+    headroom: FloatArray
+    middle: FloatArray
+    face: FloatArray
+
+
 @dataclass(frozen=True, slots=True)
 class Layers:
     """Nodes of the layered grid, sorted by cell and, within a cell, upward.
@@ -128,14 +155,13 @@ class Layers:
         shape: Cells along x and y.
         board: Least room between the two faces of a board [m].
         cell: Flat cell index of each node, shape (k,).
-        place: Where in plan the point lies whose height it is [m], shape (k, 2).
         height: Height of its surface [m], shape (k,).
-        top: Height of its highest point [m], shape (k,).
         thickness: Between its lowest and highest point [m], shape (k,).
-        headroom: Free height above it [m], inf under the open sky, shape (k,).
-        middle: Height of its middle point, or of a step's face its highest [m], shape (k,).
-        face: Of the middle of what may be the upper face of a board, seen on both [m], shape (k,), NaN of no such node.
         start: First node of each cell, shape (cells + 1,).
+        rest: Strips of `STRIP` rows of cells, which versions share, or one of all: where in plan the point lies whose
+            height it is [m], shape (k, 2); height of its highest point [m]; free height above it [m], inf under the
+            open sky; height of its middle point, or of a step's face its highest [m]; and of the middle of what may be
+            the upper face of a board, seen on both [m], NaN of no such node.
     """
 
     origin: FloatArray
@@ -143,30 +169,69 @@ class Layers:
     shape: tuple[int, int]
     board: float
     cell: IntArray
-    place: FloatArray
     height: FloatArray
-    top: FloatArray
     thickness: FloatArray
-    headroom: FloatArray
-    middle: FloatArray
-    face: FloatArray
     start: IntArray
+    rest: tuple[Rest, ...]
+
+    @property
+    def place(self) -> FloatArray:
+        """Of all nodes, see `rest`, shape (k, 2)."""
+        return flat([each.place for each in self.rest])
+
+    @property
+    def top(self) -> FloatArray:
+        """Of all nodes, see `rest`, shape (k,)."""
+        return flat([each.top for each in self.rest])
+
+    @property
+    def headroom(self) -> FloatArray:
+        """Of all nodes, see `rest`, shape (k,)."""
+        return flat([each.headroom for each in self.rest])
+
+    def strips(self, low: int, high: int) -> Iterator[tuple[Rest, int, int]]:
+        """Of the strips with some rows of cells the rest, the first node, and the one behind the last."""
+        (nx, ny), step = self.shape, STRIP if len(self.rest) > 1 else self.shape[0]
+        for i in range(low // step, -(-high // step)):
+            yield self.rest[i], int(self.start[i * step * ny]), int(self.start[min((i + 1) * step, nx) * ny])
+
+    def rows(self, low: int, high: int) -> Layers:
+        """The layers of some rows of cells, in views."""
+        ny, start = self.shape[1], self.start
+        a, b = int(start[low * ny]), int(start[high * ny])
+        strips = ((own, max(a - first, 0), b - first) for own, first, _ in self.strips(low, high))
+        rest = tuple(Rest(*(each[begin:end] for each in own)) for own, begin, end in strips)
+        told = self.cell[a:b] - low * ny, self.height[a:b], self.thickness[a:b], start[low * ny : high * ny + 1] - a
+        origin = self.origin + self.cell_width * np.array([low, 0])
+        return Layers(origin, self.cell_width, (high - low, ny), self.board, *told, rest)
+
+    def taken(self, nodes: IntArray) -> Rest:
+        """The rest of some nodes, whose numbers ascend."""
+        made = Rest(np.empty((len(nodes), 2)), *(np.empty(len(nodes)) for _ in Rest._fields[1:]))
+        low, high = (self.cell[nodes[[0, -1]]] // self.shape[1]).tolist() if len(nodes) else (0, -1)
+        for own, first, last in self.strips(low, high + 1):
+            a, b = np.searchsorted(nodes, [first, last]).tolist()
+            take_rest(nodes[a:b] - first, own, Rest(*(each[a:b] for each in made)))
+        return made
 
     @property
     def columns(self) -> Columns:
         """The same for compiled loops."""
         return Columns(self.cell, self.start, self.shape, self.height, self.thickness)
 
-    @property
-    def grid(self) -> Grid:
-        """The same for `node_at`."""
-        return self.origin, self.cell_width, self.shape[1], self.start, self.top
+    def grid_of(self, points: FloatArray) -> Grid:
+        """What tells the nodes of points (n, 3) [m], for `node_at`."""
+        nx, ny = self.shape
+        x = (points[:, 0] - self.origin[0]) / self.cell_width if len(points) else np.zeros(1)
+        low = min(max(int(x.min()) - 1, 0), nx - 1)  # rounding: a row more
+        part = self.rows(low, max(min(int(x.max()) + 2, nx), low + 1))
+        return self.origin, self.cell_width, ny, self.start, part.top, int(self.start[low * ny])
 
 
 def nodes_of(layers: Layers, points: FloatArray) -> IntArray:
     """Node of each of the points (n, 3) that the layers were built from, or some of them, shape (n,)."""
-    node = np.empty(len(points), INDEX)
-    run_chunked(lambda a, b: write_nodes(points[a:b], layers.grid, node[a:b]), len(points))
+    node, grid = np.empty(len(points), INDEX), layers.grid_of(points)
+    run_chunked(lambda a, b: write_nodes(points[a:b], grid, node[a:b]), len(points))
     return node
 
 
@@ -180,28 +245,43 @@ def grid_of(low: FloatArray, high: FloatArray, cell_width: float) -> tuple[Float
     return origin, (int(shape[0]), int(shape[1]))
 
 
-_TOLD = "height", "top", "thickness", "headroom", "middle", "face"
-PER_NODE = "cell", "place", *_TOLD
-"""What is told of each node."""
-
-
 def same_nodes(layers: Layers, cells: BoolArray, fresh: Layers | None) -> bool:
     """Whether the nodes in these cells, shape (nx, ny), are all those of `fresh` on the same grid."""
-    rows, own = rows_by_cell(cells, layers.start), [name for name in PER_NODE if name != "height"]  # which these tell
-    if fresh is None or len(fresh.cell) != len(rows):
-        return fresh is None and len(rows) == 0
-    return all(np.array_equal(getattr(layers, name)[rows], getattr(fresh, name), equal_nan=True) for name in own)
+    nodes = rows_by_cell(cells, layers.start)
+    if fresh is None or len(fresh.cell) != len(nodes):
+        return fresh is None and len(nodes) == 0
+    own, theirs = (
+        (one.cell[rows], one.thickness[rows], *one.taken(rows))  # what tells the height, too
+        for one, rows in ((layers, nodes), (fresh, np.arange(len(nodes))))
+    )
+    return all(np.array_equal(a, b, equal_nan=True) for a, b in zip(own, theirs, strict=True))
 
 
 def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> Layers:
-    """Layers with all nodes of the `changed` cells, shape (cells,), replaced by those of `fresh` on the same grid."""
+    """Layers with all nodes of the `changed` cells, shape (nx, ny), replaced by those of `fresh` on the same grid."""
     new, begin = (layers, np.zeros_like(layers.start)) if fresh is None else (fresh, fresh.start)
-    start, runs = starts_spliced(changed, layers.start, begin), runs_of(changed, layers.start, begin)
-    own: dict[str, Any] = {name: values_spliced(runs, getattr(layers, name), getattr(new, name)) for name in PER_NODE}
-    nodes = rows_by_cell(widened(changed.reshape(layers.shape), 1), start)  # what lies beside a board says if it is one
-    grid = own["cell"], start, layers.shape
-    own["height"][nodes] = tops_of_boards(nodes, grid, own["middle"], own["face"], layers.board)
-    return replace(layers, **own, start=start)
+    (nx, ny), other = layers.shape, changed.ravel()
+    start, runs = starts_spliced(other, layers.start, begin), runs_of(other, layers.start, begin)
+    cell = values_spliced(runs, layers.cell, new.cell)
+    height, thickness = (
+        values_spliced(runs, *both) for both in ((layers.height, new.height), (layers.thickness, new.thickness))
+    )
+    held = layers.rest[:1] if fresh is None else fresh.rest  # of nothing nothing is taken
+    rest, fresh_rest = list(layers.rest), Rest(*map(flat, zip(*held, strict=True)))
+    for i, (_, first, _) in enumerate(layers.strips(0, nx)):
+        a, b = STRIP * i * ny, min(STRIP * (i + 1), nx) * ny
+        if other[a:b].any():
+            part = runs_of(other[a:b], layers.start[a : b + 1] - first, begin[a : b + 1])
+            rest[i] = Rest(*(values_spliced(part, *both) for both in zip(rest[i], fresh_rest, strict=True)))
+    own = cell, height, thickness, start, tuple(rest)
+    made = Layers(layers.origin, layers.cell_width, layers.shape, layers.board, *own)
+    around, (rows, _) = widened(changed, 1), window(changed, 2)  # what lies beside a board says if it is one
+    near = made.rows(rows.start, rows.stop)
+    nodes, told = rows_by_cell(around[rows], near.start), Rest(*map(flat, zip(*near.rest, strict=True)))
+    grid = near.cell, near.start, near.shape
+    tops = tops_of_boards(nodes, grid, told.middle, told.face, layers.board)
+    height[nodes + start[rows.start * ny]] = tops
+    return made
 
 
 def steady(layers: Layers, nodes: IntArray) -> IntArray:
@@ -216,10 +296,9 @@ def crop_layers(layers: Layers, box: Box) -> tuple[Layers, IntArray]:
     rows, columns = box
     first, shape = (rows.start, columns.start), (rows.stop - rows.start, columns.stop - columns.start)
     start, cell, nodes = nodes_in_box(layers.start, layers.shape[1], first, shape)
-    place, told = told_of(nodes, layers.place, tuple(getattr(layers, name) for name in _TOLD))
-    own: dict[str, Any] = dict(zip(_TOLD, told, strict=True))
     origin = layers.origin + layers.cell_width * np.array(first)
-    return Layers(origin, layers.cell_width, shape, layers.board, cell, place, start=start, **own), nodes
+    own = cell, layers.height.take(nodes), layers.thickness.take(nodes), start, (layers.taken(nodes),)
+    return Layers(origin, layers.cell_width, shape, layers.board, *own), nodes
 
 
 def build_layers(
@@ -245,8 +324,10 @@ def build_layers(
     cell_of += low
     first = np.concatenate([np.zeros(low, np.int64), first, np.full(shape[0] * shape[1] - high, count)])
     height = tops_of_boards(np.arange(count), (cell_of, first, shape), middle, face, board)
-    own = cell_of, points[row, :2], height, top, thickness, headroom, middle, face
-    return Layers(origin, cell_width, shape, board, *own, first)
+    ends = first[np.minimum(np.arange(0, shape[0] + STRIP, STRIP), shape[0]) * shape[1]].tolist()
+    told = np.ascontiguousarray(points[row, :2]), top, headroom, middle, face
+    rest = tuple(Rest(*(each[a:b] for each in told)) for a, b in pairwise(ends))
+    return Layers(origin, cell_width, shape, board, cell_of, height, thickness, first, rest)
 
 
 HALF = ((1, 0), (0, 1), (1, 1), (1, -1))

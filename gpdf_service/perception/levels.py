@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from math import ceil
 from typing import Any, NamedTuple
 
@@ -21,7 +21,7 @@ from gpdf_service.perception.cloud import Cloud, Rows, change_layers
 from gpdf_service.perception.columns import (
     by_cell,
     ends_in_plan,
-    heights_in_plan,
+    put_heights_in_plan,
     runs_of,
     starts_spliced,
     take_out,
@@ -74,7 +74,7 @@ from gpdf_service.perception.surface import (
     cropped,
     nearest_seen,
 )
-from gpdf_service.perception.told import Grid, Told, boxes_of, grown, new_grid
+from gpdf_service.perception.told import Grid, boxes_of, grown, new_grid
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 ALONE = 0.25
@@ -85,7 +85,7 @@ TALLEST = 3.0
 """[m] Material higher than this over the ground is out of every body's reach."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class GroundLevel:
     """One sheet of ground.
 
@@ -94,15 +94,24 @@ class GroundLevel:
         other_points: What is not this ground and within reach over it [m], shape (m, 3).
         ledge: Height of the lowest point of this ground that is as high as each of them, within `face_reach` in plan
             [m], shape (m,), inf where there is none: a step's face has the step's top beside it.
-        limits: Where the ground itself stops a body.
         measured: Steps and slopes of the ground, the same for all bodies.
+        edges: Cells in which material guards the ground's edge, and those on a ridge, each of shape (nx, ny).
     """
 
     surface: HeightMap
     other_points: FloatArray
     ledge: NDArray[np.float32]
-    limits: GroundLimits
     measured: Measured
+    edges: tuple[BoolArray, BoolArray]
+
+    @cached_property
+    def limits(self) -> GroundLimits:
+        """Where the ground itself stops a body."""
+        return self.limits_in(np.ones(self.surface.state.shape, dtype=bool))
+
+    def limits_in(self, cells: BoolArray) -> GroundLimits:
+        """Where it does so in some cells, shape (nx, ny)."""
+        return find_limits(self.surface, self.edges[0], self.measured, self.edges[1], cells)
 
     @property
     def ground_points(self) -> FloatArray:
@@ -366,14 +375,15 @@ def _make_level(site: _Site, sheet: BoolArray, part: Part, before: Made | None) 
     near = nearest_seen(seen)
     held = _find_others(site, sheet, seen, near, grid, was)
     grid = replace(grid, others=held.unlike)
-    surface, measured, limits = was.level.surface, was.level.measured, was.level.limits
+    surface, measured, both = was.level.surface, was.level.measured, was.level.edges
     if (grid.felt("voids", 0, *grid.known["voids"].given, points=True) | grid.other_answers("voids")).any():
         holds = partial(held_in, held.points, held.first, seen)
         surface, guarded = complete(grid, seen, holds, grid.known["voids"].made, near, site)
         del near, holds
         if before is None:
             give_back(len(site.ground))
-        measured, limits = measure(grid, surface, guarded)
+        *told, ridge = measure(grid, surface)
+        measured, both = (told[0], told[1]), (guarded, ridge)
     else:  # they are told by nothing else
         grid = replace(grid, known=was.grid.known | grid.known)
     other = changed(was.level.surface, surface)
@@ -384,15 +394,15 @@ def _make_level(site: _Site, sheet: BoolArray, part: Part, before: Made | None) 
     touched = widened(stepped | other, 1) | grid.other_answers("measured", "edges")  # all that limits tell
     if not touched.any():
         return Made(was.level, grid.lasting(), held.first, None)
-    return Made(GroundLevel(surface, held.points, ledge, limits, measured), grid.lasting(), held.first, touched)
+    return Made(GroundLevel(surface, held.points, ledge, measured, both), grid.lasting(), held.first, touched)
 
 
 def _nothing(part: Part, width: float) -> Made:
     """What is known of a level before anything was scanned, in cells of that `width` [m]."""
     height, count = np.full(part.shape, np.nan, np.float32), part.shape[0] * part.shape[1]
     surface = HeightMap(part.origin, width, height, np.zeros(part.shape, np.uint8))
-    limits, measured = GroundLimits(*np.zeros((3, 0))), (np.zeros(0), np.zeros(0))
-    level = GroundLevel(surface, np.zeros((0, 3)), np.zeros(0, np.float32), limits, measured)
+    measured, edges = (np.zeros(0), np.zeros(0)), (np.zeros(0, dtype=bool), np.zeros(0, dtype=bool))
+    level = GroundLevel(surface, np.zeros((0, 3)), np.zeros(0, np.float32), measured, edges)
     return Made(level, new_grid(part.shape), np.zeros(count + 1, np.int64), None)
 
 
@@ -424,9 +434,9 @@ def _find_others(site: _Site, sheet: BoolArray, seen: HeightMap, near: Nearest, 
     cells = grid.felt("voids", 0, *given, points=True)
     rows, points = site.cloud.part(seen, cells)
     cell, stray, ground, out = cells_within(points, seen), site.stray[rows], site.ground[rows], seen.state.size
-    nodes = site.layers.grid, sheet, out  # what is out is as those outside: in no cell
+    nodes = site.layers.grid_of(points), sheet, out  # what is out is as those outside: in no cell
     run_chunked(lambda a, b: take_out(points[a:b], stray[a:b], ground[a:b], *nodes, cell[a:b]), len(points))
-    box, told = window(cells, 0), grid.former.get("voids")
+    box = window(cells, 0)
     part, shown, inside, z = cropped(seen, box), Nearest(near.distance[box], near.height[box]), cell, points[:, 2]
     if part.state.size < out:
         inside = np.where(cell == out, part.state.size, cells_within(points, seen, box))
@@ -434,12 +444,7 @@ def _find_others(site: _Site, sheet: BoolArray, seen: HeightMap, near: Nearest, 
         partial(between, inside, z, under(low[box] - width), high[box] + TALLEST),
         partial(find_voids, part, shown, treads[box], rim[box], inside, z, max_step),
     )
-    if told is not None:
-        voids = tuple(each.copy() for each in told.made)
-        for now, old in zip(found, voids, strict=True):
-            old[box] = np.where(cells[box], now, old[box])
-        found = voids
-    grid.known["voids"] = Told(given, found)
+    grid.put("voids", given, cells, [(box, found)] if cells.any() else [])
     cell[~near_by] = out
     begin, order = by_cell(cell, out + 1)
     fresh, begin = taken(points, order[: begin[-2]]), begin[:-1]
@@ -456,16 +461,16 @@ def _find_ledges_in(site: _Site, surface: HeightMap, held: _Others, asked: BoolA
     ledge, shape = held.ledge.copy(), surface.state.shape
     reach = max(shape) if site.noise > 0.0 else ground_reach(surface) + ledge_reach(surface)  # noise asks others, too
     for box in boxes_of(asked, reach):
-        x, y = outer = grown(box, reach, shape)
-        ends = (x.start, y.start), (x.stop, y.stop)
-        rows = site.cloud.rows_in_box(*(surface.origin + surface.cell_width * np.array(end) for end in ends))
-        own, floor = rows_in(held.first, box, shape), site.cloud.points.taken(rows[site.ground[rows]])
+        outer, cells = grown(box, reach, shape), np.zeros(shape, dtype=bool)
+        cells[outer] = True
+        rows, points = site.cloud.part(surface, cells)
+        own, floor = rows_in(held.first, box, shape), chosen_rows(points, site.ground[rows])
         ledge[own] = find_ledges(surface, floor, held.points[own], site.config.max_step, site.noise, outer)
     return ledge
 
 
-def measure(grid: Grid, surface: HeightMap, guarded: BoolArray) -> tuple[Measured, GroundLimits]:
-    """Steps and slopes of a level's ground, and its limits; in the `guarded` cells, (nx, ny), material is its edge."""
+def measure(grid: Grid, surface: HeightMap) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Steps and slopes of a level's ground, and its ridges, each of shape (nx, ny)."""
 
     def answer(
         box: Box, height: NDArray[np.float32], state: NDArray[np.uint8]
@@ -474,7 +479,7 @@ def measure(grid: Grid, surface: HeightMap, guarded: BoolArray) -> tuple[Measure
         return *step_and_slope(part), ridges(part, FLIGHT_RISE)
 
     step, slope, ridge = grid.around("measured", limits_reach(surface), answer, surface.height, surface.state)
-    return (step, slope), find_limits(surface, guarded, (step, slope), ridge)
+    return step, slope, ridge
 
 
 def sheet_surface(grid: Grid, layers: Layers, part: Part, max_step: float, noise: float = 0.0) -> HeightMap:
@@ -482,8 +487,12 @@ def sheet_surface(grid: Grid, layers: Layers, part: Part, max_step: float, noise
 
     What a flight is tells `max_step` [m], see `bridged`.
     """
-    nodes, origin, *box = part
-    height, off = heights_in_plan(layers.columns, nodes, layers.place, origin, layers.cell_width, *box)
+    nodes, origin = part.nodes, part.origin
+    height, off = np.full(part.shape, np.nan, np.float32), np.zeros((*part.shape, 2), np.float32)
+    for rest, first, last in layers.strips(part.first[0], part.first[0] + part.shape[0]):
+        a, b = np.searchsorted(nodes, [first, last]).tolist()
+        own = layers.columns, nodes[a:b], rest.place, first, origin, layers.cell_width, part.first
+        put_heights_in_plan(*own, height, off)
     pairs = off.view(np.complex64)[..., 0]  # each two in one, to be compared at once
     whole = HeightMap(part.origin, layers.cell_width, height, np.zeros(part.shape, np.uint8))
 
@@ -571,7 +580,7 @@ def complete(
         part = without_hidden(HeightMap(seen.origin, seen.cell_width, height, state), lowest, face)
         return part.height, part.state
 
-    opened = without_enclosed(filled, shut)
+    opened = without_enclosed(filled, shut, grid)
     (face,) = grid.around("faces", faces_reach(seen), faces, opened.height, opened.state, stair, points=True)
     height, state = grid.around("shown", hidden_reach(seen), shown, opened.height, opened.state, lowest, face)
     return replace(seen, height=height, state=state), guarded

@@ -14,6 +14,7 @@ from scipy import ndimage
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.kernel_cache import lean
+from gpdf_service.perception.boxes import span
 from gpdf_service.perception.footing import ROUGH, flights
 from gpdf_service.perception.strides import HALF_FOOT, SECTORS, STRIDE, sector_of
 from gpdf_service.perception.surface import UNKNOWN, Cells, HeightMap
@@ -58,7 +59,12 @@ class GroundLimits:
     value: FloatArray
 
 
-def find_limits(surface: HeightMap, material: BoolArray, measured: Measured, ridge: BoolArray) -> GroundLimits:
+NO_LIMITS = GroundLimits(np.zeros((0, 3)), np.zeros(0, np.uint8), np.zeros(0))
+
+
+def find_limits(
+    surface: HeightMap, material: BoolArray, measured: Measured, ridge: BoolArray, cells: BoolArray
+) -> GroundLimits:
     """Find the limits of one piece of ground.
 
     Args:
@@ -66,8 +72,9 @@ def find_limits(surface: HeightMap, material: BoolArray, measured: Measured, rid
         material: Cells that hold other points, shape (nx, ny).
         measured: Its `step_and_slope`.
         ridge: Its `ridges`, shape (nx, ny).
+        cells: Which are asked about, shape (nx, ny).
     """
-    own = surface.arrays, material, measured, ridge
+    own = surface.arrays, (material, ridge, cells), measured
     count = _put_limits(*own, (0, 0, 0, 0), (np.zeros((0, 3)), np.zeros(0)))
     ends = (0, *np.cumsum(count).tolist())
     made = GroundLimits(np.empty((ends[-1], 3)), np.repeat(_KINDS, count), np.full(ends[-1], np.inf))
@@ -82,9 +89,8 @@ _KINDS = np.array([ObstacleKind.STEP, ObstacleKind.SLOPE, ObstacleKind.UNKNOWN, 
 @njit(cache=True, nogil=True)
 def _put_limits(
     ground: Cells,
-    material: BoolArray,
+    told: tuple[BoolArray, BoolArray, BoolArray],
     measured: Measured,
-    ridge: BoolArray,
     begin: tuple[int, int, int, int],
     made: tuple[FloatArray, FloatArray],
 ) -> tuple[int, int, int, int]:
@@ -92,9 +98,12 @@ def _put_limits(
 
     Into empty arrays nothing is written.
     """
-    (steps, slopes, edges, ridges), (step, slope) = begin, measured
-    for x in range(material.shape[0]):
-        for y in range(material.shape[1]):
+    (steps, slopes, edges, ridges), (step, slope), (material, ridge, cells) = begin, measured, told
+    left, right, near, far = span(cells)
+    for x in range(left, right):
+        for y in range(near, far):
+            if not cells[x, y]:
+                continue
             height = float(ground.height[x, y])
             if ground.state[x, y] != UNKNOWN:
                 if step[x, y] > LEAST_STEP:

@@ -13,7 +13,7 @@ from gpdf_service.fields.threads import run_chunked, run_parallel
 from gpdf_service.perception.footing import ROUGH, footing_reach, is_tread, on_treads, rings_of
 from gpdf_service.perception.ledges import FACE, LEAST_OBSTACLE, astray
 from gpdf_service.perception.levels import GroundLevel
-from gpdf_service.perception.limits import ObstacleKind
+from gpdf_service.perception.limits import GroundLimits, ObstacleKind
 from gpdf_service.perception.nearest import nearest_of
 from gpdf_service.perception.points import Points
 from gpdf_service.perception.rows import between, chosen_rows, under
@@ -53,7 +53,7 @@ CLEAN = Scan()
 """A cloud of a perfect scanner."""
 
 
-def obstacles_of(level: GroundLevel, agent: Agent, scan: Scan = CLEAN) -> Obstacles:
+def obstacles_of(level: GroundLevel, agent: Agent, scan: Scan = CLEAN, limits: GroundLimits | None = None) -> Obstacles:
     """What stops `agent` on `level` of a cloud from such a `scan`.
 
     Material is an obstacle if a body that reaches it is as tall, on the highest ground within its radius that it has
@@ -61,10 +61,10 @@ def obstacles_of(level: GroundLevel, agent: Agent, scan: Scan = CLEAN) -> Obstac
     joined by a step which the body takes is none. A face as wide as a cell shows a point in nearly every cell's width
     of its height (so wide are they chosen), and a leg half as wide in every two. So what begins no more than a cell
     over what may be hidden may go down to the ground, or two over what stops nobody; a body is at least as tall. Limits
-    of the ground are obstacles where they exceed the body's.
+    of the ground, all that the level has if they are not given, are obstacles where they exceed the body's.
     """
     touched = _material(level, agent, scan)
-    limits = level.limits
+    limits = level.limits if limits is None else limits
     reach = np.array([0.0, agent.max_step, agent.max_slope, -np.inf])[limits.kind]
     stops = limits.value > reach
     points = chosen_rows(level.other_points, touched, chosen_rows(limits.points, stops))

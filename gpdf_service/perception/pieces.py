@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpdf_service.perception.beside import Answer, Beside, Strips, each_strip
+from gpdf_service.perception.beside import Answer, Beside, Strips, each_strip, spans_of
 from gpdf_service.perception.nodes import components, count_labels, pairs_on, pieces_of
 from gpdf_service.types import BoolArray, IntArray
 
@@ -66,7 +66,7 @@ class Pieces:
 
             return each_strip(one, begin, end)
 
-        parts = [each[0] for each in self.near.told(f"{name}, totals", self.near.within(0, (self.label, *given)), make)]
+        parts = [each for (each,) in self.near.told(f"{name}, totals", (self.label, *given), make)]
         made = np.zeros((self.count + 1, *parts[0].shape[1:]), parts[0].dtype)
         np.add.at(made, self.number, np.concatenate(parts))
         return made[:-1]
@@ -83,7 +83,7 @@ class Pieces:
         def make(begin: int, end: int) -> list[Answer]:
             return [(own[i][self.label[i]],) for i in range(begin, end)]
 
-        return self.near.told_nodes(f"{name}, chosen", self.near.within(0, (self.label, own)), make)[0]
+        return self.near.told_nodes(f"{name}, chosen", (self.label, own), make)[0]
 
     def at(self, nodes: IntArray) -> IntArray:
         """The piece of some nodes, shape (m,)."""
@@ -111,9 +111,8 @@ def find_pieces(near: Beside, name: str, inner: Strips, rise: float, step: float
 
         return each_strip(one, begin, end)
 
-    label, starts = zip(*near.told(f"{name}, pieces", near.within(0, (inner,)), make), strict=True)
-    on = [(*near.nodes[i : i + 2], *label[i : i + 2]) for i in range(len(label))]
-    pairs = [each[0] for each in near.told(f"{name}, seams", on, join)]
+    label, starts = zip(*near.told(f"{name}, pieces", (inner,), make), strict=True)
+    pairs = [each for (each,) in near.told(f"{name}, seams", (label,), join, spans_of(len(label), 0, 1))]
     begin = np.concatenate([[0], np.cumsum([len(each) + 1 for each in starts])])  # one of a strip for none
     a, b = np.concatenate([each + begin[i : i + 2] for i, each in enumerate(pairs)]).T
     own = np.ones(begin[-1], dtype=bool)

@@ -9,9 +9,18 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from gpdf_service.perception.boxes import span
 from gpdf_service.perception.columns import by_cell
 from gpdf_service.perception.layers import columns_over
-from gpdf_service.perception.rows import INDEX, bounds_of, cells_in_box, chosen_rows, rows_in_box, taken
+from gpdf_service.perception.rows import (
+    INDEX,
+    bounds_of,
+    cells_in_box,
+    chosen_rows,
+    rows_by_cell,
+    rows_in_cells,
+    taken,
+)
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 SQUARE = 1.0
@@ -96,16 +105,13 @@ class Points:
         there[gone] = False
         return Points(self.base, np.concatenate([self.more, fresh]), there)
 
-    def rows_in_box(self, low: FloatArray, high: FloatArray) -> IntArray:
-        """Numbers of the points between `low` and `high` in plan [m], shape (2,), that are there; they ascend."""
-        corner, width, (nx, ny), start, order = self.base.squares
-        first, last = (np.clip(np.floor((end - corner) / width), -1, (nx, ny)) for end in (low, high))
-        (left, near), (right, far) = np.maximum(first, 0).astype(int), np.minimum(last + 1, (nx, ny)).astype(int)
-        columns = range(left, right if near < far else left)
-        inside = [order[start[x * ny + near] : start[x * ny + far]] for x in columns]
-        found = _within(self.base.points, self.there, np.concatenate([*inside, order[:0]]), low, high)
-        more = rows_in_box(self.more, low, high) + len(self.base.points)
-        return np.concatenate([np.sort(found).astype(np.int64), more[self.there[more]]])
+    def rows_in_cells(self, origin: FloatArray, width: float, wanted: BoolArray) -> IntArray:
+        """Numbers of the points that are there in the `wanted` cells, (nx, ny), of a grid; they ascend."""
+        squares, grid = self.base.squares, (origin, width, wanted)
+        rows = squares.order[rows_by_cell(_meeting(squares, grid), squares.start)]
+        more = rows_in_cells(self.more, *grid)
+        more = more[self.there[len(self.base.points) + more]] + len(self.base.points)
+        return np.concatenate([np.sort(_inside(self.base.points, self.there, rows, grid)).astype(np.int64), more])
 
     def bounds(self, chosen: BoolArray) -> tuple[FloatArray, FloatArray]:
         """Least and greatest (x, y) [m] of the `chosen` points, shape (n + k,)."""
@@ -150,12 +156,32 @@ def _taken(base: FloatArray, more: FloatArray, numbers: IntArray) -> FloatArray:
     return made
 
 
+_Cells = tuple[FloatArray, float, BoolArray]
+"""Corner of a grid [m], width of its cells [m], and which are wanted, shape (nx, ny)."""
+
+
 @njit(cache=True, nogil=True)
-def _within(points: FloatArray, there: BoolArray, numbers: IntArray, low: FloatArray, high: FloatArray) -> IntArray:
-    """Those of the numbers whose points are there, and between `low` and `high` in plan."""
-    found, used = np.empty(len(numbers) + 1, INDEX), 0
+def _meeting(squares: _Squares, cells: _Cells) -> BoolArray:
+    """Which squares the wanted cells of a grid meet; rounding: with a cell more on each side."""
+    (corner, wide, shape, _, _), (origin, width, wanted) = squares, cells
+    found, (left, right, near, far) = np.zeros(shape, np.bool_), span(wanted)
+    for i in range(left, right):
+        for j in range(near, far):
+            if wanted[i, j]:
+                x, y = origin[0] - corner[0] + i * width, origin[1] - corner[1] + j * width
+                for u in range(max(int((x - width) / wide), 0), min(int((x + 2.0 * width) / wide) + 1, shape[0])):
+                    for v in range(max(int((y - width) / wide), 0), min(int((y + 2.0 * width) / wide) + 1, shape[1])):
+                        found[u, v] = True
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _inside(points: FloatArray, there: BoolArray, numbers: IntArray, cells: _Cells) -> IntArray:
+    """Those of the numbers whose points are there, and in the wanted cells of a grid."""
+    found, used, (origin, width, wanted) = np.empty(len(numbers) + 1, INDEX), 0, cells
     for n in numbers:
-        x, y = points[n, 0], points[n, 1]
+        i = int(np.floor((points[n, 0] - origin[0]) / width))
+        j = int(np.floor((points[n, 1] - origin[1]) / width))
         found[used] = n
-        used += int(there[n] and low[0] <= x <= high[0] and low[1] <= y <= high[1])
+        used += int(there[n] and 0 <= i < wanted.shape[0] and 0 <= j < wanted.shape[1] and wanted[i, j])
     return found[:used]

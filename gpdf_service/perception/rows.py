@@ -8,14 +8,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.fields.threads import run_chunked, run_parallel
+from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.tree import longer
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 INDEX: Any = np.int32
 """Kind of the numbers of points, nodes and cells where they are many: half of the memory."""
-_SHARE = 1 << 17
-"""Rows that a core looks through at once: 3 MB, which takes as long as five wake-ups."""
 _NO_POINTS: FloatArray = np.zeros((0, 3))
 _BLOCK = 4096
 """Rows for which room is made at once: what is found is few, and memory that nobody touches costs nothing."""
@@ -79,12 +77,6 @@ def rows_by_cell(wanted: BoolArray, start: IntArray) -> IntArray:
     return np.repeat(start[cells] - before[:-1], count) + np.arange(before[-1])
 
 
-def rows_in_box(points: FloatArray, low: FloatArray, high: FloatArray) -> IntArray:
-    """Rows of the points (n, 3) between `low` and `high` in plan, shape (2,); sorted."""
-    begin = range(0, max(len(points), 1), _SHARE)
-    return np.concatenate(run_parallel(lambda row: _rows_between(points, low, high, row, row + _SHARE), begin))
-
-
 @njit(cache=True, nogil=True)
 def _rows_between(points: FloatArray, low: FloatArray, high: FloatArray, first: int, last: int) -> IntArray:
     found, used, last = np.empty(2 * _BLOCK, np.int64), 0, min(last, len(points))
@@ -116,6 +108,13 @@ def chosen_rows(points: FloatArray, chosen: BoolArray, fresh: FloatArray = _NO_P
     _keep_rows(points, chosen, made)
     made[count:-1] = fresh
     return made[:-1]
+
+
+def rows_spliced(values: NDArray[Any], gone: IntArray, fresh: NDArray[Any]) -> NDArray[Any]:
+    """The values (n, …) but for the rows that are gone, ascending, and the `fresh` ones after them: copied in runs."""
+    first, last = np.append(0, gone + 1), np.append(gone, len(values))
+    some = np.flatnonzero(last > first)
+    return np.concatenate([*(values[a:b] for a, b in zip(first[some], last[some], strict=True)), fresh])
 
 
 @njit(cache=True, nogil=True)

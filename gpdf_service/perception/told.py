@@ -6,7 +6,7 @@ is another than in the version before. Either asks with as much around them: so 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -65,6 +65,10 @@ def unlike(now: NDArray[Any], was: NDArray[Any]) -> BoolArray:
     return found
 
 
+Differ = tuple[NDArray[Any], NDArray[Any], list[tuple[Box, BoolArray]]]
+"""What is told now, what was in the version before, and boxes with their cells, by whose bits they differ."""
+
+
 @dataclass(frozen=True, slots=True)
 class Grid:
     """What was asked of the cells of a grid.
@@ -73,19 +77,21 @@ class Grid:
         known: What each question was told, by its name.
         former: What it was told in the version before; none in a build.
         others: Cells that hold other points than in that version, shape (nx, ny).
+        differ: Of answers, by their identity, what was told in that version, and the boxes and cells that differ.
     """
 
     known: dict[str, Told]
     former: dict[str, Told]
     others: BoolArray
+    differ: dict[int, Differ]
 
     def now(self, others: BoolArray) -> Grid:
         """The grid of the next version, which holds other points in some cells."""
-        return Grid({}, self.known, others)
+        return Grid({}, self.known, others, {})
 
     def lasting(self) -> Grid:
         """The same without the version before."""
-        return replace(self, former={})
+        return replace(self, former={}, differ={})
 
     def around(
         self,
@@ -104,20 +110,48 @@ class Grid:
             given: Arrays of shape (nx, ny).
             points: Whether the answer asks the points that the cells hold, too.
         """
-        felt, was = self.felt(name, reach, *given, points=points), self.former.get(name)
-        made = () if was is None else was.made if not felt.any() else tuple(values.copy() for values in was.made)
-        for box in boxes_of(felt, reach):
-            outer = grown(box, reach, felt.shape)
-            found = answer(outer, *(each[outer] for each in given))
+        felt = self.felt(name, reach, *given, points=points)
+
+        def parts() -> Iterable[tuple[Box, tuple[NDArray[Any], ...]]]:
+            for box in boxes_of(felt, reach):
+                outer = grown(box, reach, felt.shape)
+                own = tuple(slice(b.start - o.start, b.stop - o.start) for b, o in zip(box, outer, strict=True))
+                yield box, tuple(each[own] for each in answer(outer, *(each[outer] for each in given)))
+
+        return self.put(name, given, felt, parts())
+
+    def put(
+        self,
+        name: str,
+        given: tuple[NDArray[Any], ...],
+        felt: BoolArray,
+        parts: Iterable[tuple[Box, tuple[NDArray[Any], ...]]],
+    ) -> tuple[NDArray[Any], ...]:
+        """Answers for boxes of cells, which count in the `felt` ones; else the former ones, which stay if none differs.
+
+        Args:
+            name: Of the question.
+            given: What it was told by.
+            felt: Shape (nx, ny).
+            parts: Boxes that hold all of these, and the answers there.
+        """
+        was = self.former[name].made if name in self.former else ()
+        made, differ = list(was), [list[tuple[Box, BoolArray]]() for _ in was]
+        for box, found in parts:
             if felt[box].size == felt.size:
-                made = found
+                made, was = list(found), ()
                 break
-            own = tuple(slice(b.start - o.start, b.stop - o.start) for b, o in zip(box, outer, strict=True))
-            made = made or tuple(np.empty((*felt.shape, *each.shape[2:]), each.dtype) for each in found)
-            for values, part in zip(made, found, strict=True):
-                values[box][felt[box]] = part[own][felt[box]]
-        self.known[name] = Told(given, made)
-        return made
+            made = made or [np.empty(felt.shape, each.dtype) for each in found]
+            for k, part in enumerate(found):
+                other = felt[box] & unlike(part, was[k][box]) if was else felt[box]
+                if was and other.any():
+                    made[k] = made[k].copy() if made[k] is was[k] else made[k]
+                    differ[k].append((box, other))
+                made[k][box][other] = part[other]
+        for now, before, boxes in zip(made, was, differ, strict=True) if was else ():
+            self.differ[id(now)] = now, before, boxes
+        self.known[name] = Told(given, tuple(made))
+        return self.known[name].made
 
     def felt(self, name: str, reach: int, *given: NDArray[Any], points: bool = False) -> BoolArray:
         """Cells within reach of what is given otherwise than before, or of other `points`, (nx, ny); all of a build."""
@@ -125,8 +159,7 @@ class Grid:
             return np.ones_like(self.others)
         felt = self.others.copy() if points else np.zeros_like(self.others)
         for one, another in zip(given, self.former[name].given, strict=True):
-            if one is not another:
-                felt |= unlike(one, another)
+            self._mark(one, another, felt)
         return widened(felt, reach)
 
     def other_answers(self, *names: str) -> BoolArray:
@@ -136,14 +169,22 @@ class Grid:
             if name not in self.former:
                 return np.ones_like(found)
             for now, was in zip(self.known[name].made, self.former[name].made, strict=True):
-                if now is not was:
-                    found |= unlike(now, was)
+                self._mark(now, was, found)
         return found
+
+    def _mark(self, now: NDArray[Any], was: NDArray[Any], cells: BoolArray) -> None:
+        """Mark the cells with other values than before."""
+        _, before, boxes = self.differ.get(id(now), (None, None, ()))
+        if before is was:
+            for box, other in boxes:
+                cells[box] |= other
+        elif now is not was:
+            cells |= unlike(now, was)
 
 
 def new_grid(shape: tuple[int, ...]) -> Grid:
     """Of so many cells, of which nothing was asked."""
-    return Grid({}, {}, np.zeros(shape, dtype=bool))
+    return Grid({}, {}, np.zeros(shape, dtype=bool), {})
 
 
 def bands_of(shape: tuple[int, ...], reach: int) -> list[Box]:

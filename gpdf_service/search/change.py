@@ -14,7 +14,6 @@ from gpdf_service.fields.threads import run_beside, run_parallel
 from gpdf_service.perception import (
     CLEAN,
     GroundLevel,
-    GroundLimits,
     HeightMap,
     Levels,
     Obstacles,
@@ -24,7 +23,7 @@ from gpdf_service.perception import (
 )
 from gpdf_service.perception.boxes import span, widened, window
 from gpdf_service.perception.obstacles import obstacles_reach
-from gpdf_service.perception.rows import chosen_rows, hashed, more_now, rows_by_cell, rows_in_cells, taken
+from gpdf_service.perception.rows import hashed, more_now, rows_by_cell, rows_in_cells, rows_spliced, taken
 from gpdf_service.perception.surface import UNKNOWN, cropped
 from gpdf_service.search.free_space import (
     FreeSpace,
@@ -98,18 +97,16 @@ def _change_level(
     surface, agent, radius = level.surface, old.agent, old.radius
     reach, shut = obstacles_reach(surface, agent)
     region = widened(touched, reach)
-    found = obstacles_of(_part(level, first, region, reach, shut), agent, scan)
-    inside, lost = rows_in_cells(found.points, *_grid(surface), region), rows_in_tree(was.tree, *_grid(surface), region)
+    found = obstacles_of(_part(level, first, region, reach, shut), agent, scan, level.limits_in(region))
+    inside, gone = rows_in_cells(found.points, *_grid(surface), region), rows_in_tree(was.tree, *_grid(surface), region)
+    lost = was.tree.order[gone]
     both = np.concatenate([_rows(was.obstacles, lost), _rows(found, inside)])
     other = more_now(hashed(both), len(lost)) != 0
-    lost, inside, places = lost[other[: len(lost)]], inside[other[len(lost) :]], both[other, :2].copy()
-    stay = np.ones(len(was.obstacles.points), dtype=bool)
-    stay[lost] = False
-    fresh = found.points[inside]
-    tree = _change_tree(was.tree, stay, fresh[:, :2])
+    gone, inside, places = gone[other[: len(lost)]], inside[other[len(lost) :]], both[other, :2].copy()
+    lost, fresh = np.sort(was.tree.order[gone]), found.points[inside]
+    tree = _change_tree(was.tree, gone, lost, fresh[:, :2])
     obstacles = Obstacles(
-        chosen_rows(was.obstacles.points, stay, fresh),
-        np.concatenate([was.obstacles.kind[stay], found.kind[inside]]),
+        rows_spliced(was.obstacles.points, lost, fresh), rows_spliced(was.obstacles.kind, lost, found.kind[inside])
     )
     known = (was.surface.state != UNKNOWN) != (surface.state != UNKNOWN)
     part = replace(was, surface=surface, measured=level.measured, obstacles=obstacles)
@@ -143,7 +140,7 @@ def _corner(tree: Tree) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def rows_in_tree(tree: Tree, origin: FloatArray, cell_width: float, wanted: BoolArray) -> IntArray:
-    """`rows_in_cells` of what a tree was built of: boxes without a wanted cell are passed over."""
+    """`rows_in_cells` of the points of a tree, in no order: boxes without a wanted cell are passed over."""
     nodes, stack, found = tree.boxes.shape[0], [0], [0 for _ in range(0)]
     left, right, near, far = span(wanted)
     low_x, high_x = origin[0] + (left - 1) * cell_width, origin[0] + (right + 1) * cell_width  # rounding: a cell more
@@ -160,51 +157,65 @@ def rows_in_tree(tree: Tree, origin: FloatArray, cell_width: float, wanted: Bool
             i = int(np.floor((tree.points[row, 0] - origin[0]) / cell_width))
             j = int(np.floor((tree.points[row, 1] - origin[1]) / cell_width))
             if 0 <= i < wanted.shape[0] and 0 <= j < wanted.shape[1] and wanted[i, j]:
-                found.append(tree.order[row])
-    return np.sort(np.array(found, np.int64))
+                found.append(row)
+    return np.array(found, np.int64)
 
 
 def _grid(surface: HeightMap) -> tuple[FloatArray, float]:
     return np.asarray(surface.origin, dtype=np.float64), surface.cell_width
 
 
-def _change_tree(tree: Tree, stay: BoolArray, fresh: FloatArray) -> Tree:
-    """The tree over the points that `stay`, shape (n,), of those it was built of, and the `fresh` ones after them."""
-    if not stay.any():
+def _change_tree(tree: Tree, gone: IntArray, lost: IntArray, fresh: FloatArray) -> Tree:
+    """The tree without some of its rows, and with `fresh` points after those that it was built of.
+
+    Args:
+        tree: Before.
+        gone: Which of its rows.
+        lost: The same of what it was built of, ascending.
+        fresh: Shape (k, 2) [m].
+    """
+    if len(gone) == len(tree.points):
         return build_tree(fresh)
-    made, source = change_tree(tree, stay[tree.order], np.ascontiguousarray(fresh))
-    return made._replace(order=_rows_now(stay, tree.order, source))
+    stay = np.ones(len(tree.points), dtype=bool)
+    stay[gone] = False
+    made, source = change_tree(tree, stay, np.ascontiguousarray(fresh))
+    return made._replace(order=_rows_now(tree.order, source, lost))
 
 
 @njit(cache=True, nogil=True)
-def _rows_now(stay: BoolArray, order: IntArray, source: IntArray) -> IntArray:
-    """Row of each point of a tree: of those that `stay` of the former ones, shape (n,), and of fresh ones after them.
+def _rows_now(order: IntArray, source: IntArray, lost: IntArray) -> IntArray:
+    """Row of each point of a tree among the former rows without those that are lost, and the fresh ones after them.
 
     Args:
-        stay: Which stay.
         order: Former row of each point of the former tree.
         source: Which of these each point is, or −1 − its number among the fresh ones.
+        lost: Rows, ascending.
     """
-    row, made, last = np.empty(len(stay), np.int64), np.empty(len(source), np.int64), 0
-    for i in range(len(stay)):
-        row[i] = last
-        last += stay[i]
+    before, made = np.searchsorted(lost, np.arange(0, len(order), _ROWS)), np.empty(len(source), np.int64)
     for i in range(len(source)):
-        made[i] = row[order[source[i]]] if source[i] >= 0 else last - 1 - source[i]
+        if source[i] < 0:
+            made[i] = len(order) - len(lost) - 1 - source[i]
+            continue
+        row = order[source[i]]
+        count = before[row // _ROWS]
+        while count < len(lost) and lost[count] < row:
+            count += 1
+        made[i] = row - count
     return made
 
 
+_ROWS = 64
+"""Of which it is known how many before them are lost: so much of that stays in a core's cache."""
+
+
 def _part(level: GroundLevel, first: IntArray, region: BoolArray, reach: int, shut: int) -> GroundLevel:
-    """What of a level decides on the obstacles in `region`: ground within `reach` cells, points within `shut`."""
-    surface, box = level.surface, window(region, reach)
-    limits, other = level.limits, rows_by_cell(widened(region, shut), first)
-    limit = rows_in_cells(limits.points, *_grid(surface), region)
+    """What decides on the material that stops in `region`: ground within `reach` cells, points within `shut`."""
+    surface, box, other = level.surface, window(region, reach), rows_by_cell(widened(region, shut), first)
     return replace(
         level,
         surface=cropped(surface, box),
         other_points=taken(level.other_points, other),
         ledge=level.ledge[other],
-        limits=GroundLimits(limits.points[limit], limits.kind[limit], limits.value[limit]),
     )
 
 
@@ -224,7 +235,7 @@ def _change_field(was: LevelSpace, obstacles: Obstacles, tree: Tree, places: Flo
     wanted[tuple(cells.T)] = True
     if wanted[0, 0]:
         return None
-    near = obstacles.points[rows_in_tree(tree, corner, width, wanted), :2]
+    near = obstacles.points[np.sort(tree.order[rows_in_tree(tree, corner, width, wanted)]), :2]
     rows = thin(np.concatenate([[corner], near]), width)  # the corner makes the cells those of all points
     fresh, points = near[rows[rows > 0] - 1], was.obstacle_field.points
     lost = rows_in_cells(points, corner, width, wanted)

@@ -12,9 +12,10 @@ from scipy import ndimage
 from gpdf_service.config import FieldConfig, SearchConfig
 from gpdf_service.fields import Nearer, build_tree
 from gpdf_service.fields.traversal import NearerArrays, nearest_only
-from gpdf_service.perception import CLEAN, GroundLevel, GroundLimits, Levels, Obstacles, Scan, obstacles_of
+from gpdf_service.perception import CLEAN, GroundLevel, Levels, Obstacles, Scan, obstacles_of
 from gpdf_service.perception.boxes import Box
 from gpdf_service.perception.levels import within_reach
+from gpdf_service.perception.limits import NO_LIMITS
 from gpdf_service.perception.sheets import OVERLAP
 from gpdf_service.perception.surface import cropped
 from gpdf_service.search.core import patch_core
@@ -24,8 +25,6 @@ from gpdf_service.search.patch import Around, Nodes, around, patched
 from gpdf_service.search.places import Places
 from gpdf_service.search.resplit import SplitQuadtree, split_again
 from gpdf_service.types import Agent, FloatArray, IntArray
-
-_NO_LIMITS = GroundLimits(np.zeros((0, 3)), np.zeros(0, np.uint8), np.zeros(0))
 
 
 def add_moving(
@@ -87,7 +86,7 @@ def stopping(level: GroundLevel, points: FloatArray, agent: Agent, scan: Scan) -
         near = within_reach(points[rows], surface, _box(cells[rows], int(np.ceil(OVERLAP / surface.cell_width))))
         if len(near):
             part = _part(level, near, _box(cells[rows], reach))
-            found = joined(found, obstacles_of(part, agent, scan))
+            found = joined(found, obstacles_of(part, agent, scan, NO_LIMITS))
     return found
 
 
@@ -112,7 +111,7 @@ def _box(cells: IntArray, by: int) -> Box:
 def _part(level: GroundLevel, points: FloatArray, box: Box) -> GroundLevel:
     """A box of the level with these points, and nothing else on it."""
     ledge = np.full(len(points), np.inf, np.float32)  # no step's face
-    return replace(level, surface=cropped(level.surface, box), other_points=points, ledge=ledge, limits=_NO_LIMITS)
+    return replace(level, surface=cropped(level.surface, box), other_points=points, ledge=ledge)
 
 
 def _connected(space: FreeSpace, split: list[tuple[int, SplitQuadtree]]) -> FreeSpace:

@@ -19,8 +19,8 @@ from gpdf_service.perception.rows import (
     extent_within,
     more_now,
     rows_by_cell,
-    rows_in_box,
     rows_in_cells,
+    rows_spliced,
     taken,
 )
 from gpdf_service.perception.strays import find_strays
@@ -38,10 +38,10 @@ def test_cells_boxes_and_bounds_are_those_of_numpy(points):
     x, y = np.floor((points[:, :2] - CORNER) / WIDTH).astype(int).T
     cell = cells_of(points, CORNER, WIDTH, SHAPE)
     np.testing.assert_array_equal(cell, x * SHAPE[1] + y)
-    low, high = np.array([0.0, -1.0]), np.array([2.0, 1.0])
-    inside = np.flatnonzero(((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1))
-    np.testing.assert_array_equal(rows_in_box(points, low, high), inside)
     chosen = points[:, 2] > 1.0
+    for gone in (~chosen, np.zeros_like(chosen), np.ones_like(chosen)):
+        stay = np.concatenate([points[~gone], points[:5]])
+        np.testing.assert_array_equal(rows_spliced(points, np.flatnonzero(gone), points[:5]), stay)
     np.testing.assert_array_equal(bounds_of(points), (points[:, :2].min(axis=0), points[:, :2].max(axis=0)))
     np.testing.assert_array_equal(bounds_of(points, chosen), bounds_of(points[chosen]))
     np.testing.assert_array_equal(chosen_rows(points, chosen), points[chosen])
@@ -140,7 +140,7 @@ def test_columns_are_cut_as_by_hand():
     rng = np.random.default_rng(3)
     points = rng.uniform([0, 0, 0], [2, 2, 3], (500, 3))
     layers = build_layers(points, 0.25, 0.2, 0.01)
-    node_of = nodes_of(layers, points)
+    middle, node_of = layers.taken(np.arange(len(layers.cell))).middle, nodes_of(layers, points)
     x, y = np.floor((points[:, :2] - layers.origin) / 0.25).astype(int).T
     cell, node = x * layers.shape[1] + y, 0
     for column in np.unique(cell):
@@ -152,7 +152,7 @@ def test_columns_are_cut_as_by_hand():
             assert layers.cell[node] == column
             assert (node_of[part] == node).all()
             assert layers.thickness[node] == z[-1] - z[0]
-            assert layers.middle[node] == (z[(len(z) - 1) // 2] if z[-1] - z[0] <= 0.19 else highest_band(z))
+            assert middle[node] == (z[(len(z) - 1) // 2] if z[-1] - z[0] <= 0.19 else highest_band(z))
             assert layers.headroom[node] == (np.inf if above is None else points[above[0], 2] - z[-1])
             node += 1
     assert node == len(layers.cell)
@@ -170,7 +170,7 @@ def test_spliced_layers_are_those_of_all_points():
 
     mixed = np.concatenate([old[~changed[cells(old)]], new[changed[cells(new)]]])
     fresh = build_layers(new[changed[cells(new)]], 0.25, 0.2, like=first)
-    made, true = splice_layers(first, changed, fresh), build_layers(mixed, 0.25, 0.2, like=first)
+    made, true = splice_layers(first, changed.reshape(first.shape), fresh), build_layers(mixed, 0.25, 0.2, like=first)
     for name in ("cell", "height", "thickness", "headroom", "start"):
         np.testing.assert_array_equal(getattr(made, name), getattr(true, name))
 
@@ -182,7 +182,7 @@ def test_where_a_board_ends_is_told_beside_the_column_that_changed():
     first = build_layers(old, 0.25, 0.2)
     changed = np.isin(np.arange(len(first.start) - 1), cells_of(old[gone], first.origin, 0.25, first.shape))
     floor = old[(old[:, :2] == 0.25).all(axis=1) & ~gone]
-    made = splice_layers(first, changed, build_layers(floor, 0.25, 0.2, like=first))
+    made = splice_layers(first, changed.reshape(first.shape), build_layers(floor, 0.25, 0.2, like=first))
     np.testing.assert_array_equal(made.height, build_layers(old[~gone], 0.25, 0.2, like=first).height)
     assert (first.height == 0.55).sum() == 9
     assert (made.height == 0.5).sum() == 4  # the corners: beside two others

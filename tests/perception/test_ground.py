@@ -9,9 +9,10 @@ from gpdf_service.perception import ObstacleKind, Scan, obstacles_of, read_cloud
 from gpdf_service.perception.holes import without_enclosed
 from gpdf_service.perception.ledges import LEAST_OBSTACLE, find_ledges, next_above
 from gpdf_service.perception.levels import GroundLevel, survey_levels, without_outliers
-from gpdf_service.perception.limits import find_limits, step_and_slope
+from gpdf_service.perception.limits import step_and_slope
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
+from gpdf_service.perception.told import new_grid
 from gpdf_service.synthetic import SCENES, Box, World, ramp, random_room
 from gpdf_service.types import AGENTS, Status
 from tests.clients.two_storeys import make_house
@@ -132,7 +133,8 @@ def test_a_gap_between_seen_cells_is_not_shut_off_by_what_stands_around_it(wide,
     inside = slice(4, 4 + wide)
     low[3 : 5 + wide, 3 : 5 + wide] = True
     state[inside, inside], low[inside, inside] = INFERRED, False
-    made = without_enclosed(HeightMap(np.zeros(2), 0.05, np.zeros((11, 11), np.float32), state), low).state
+    surface = HeightMap(np.zeros(2), 0.05, np.zeros((11, 11), np.float32), state)
+    made = without_enclosed(surface, low, new_grid(low.shape)).state
     assert (made[inside, inside] == (INFERRED if stays else UNKNOWN)).all()
     assert (made == state).sum() == (121 if stays else 121 - wide**2)
 
@@ -418,9 +420,7 @@ def test_a_tread_whose_scatter_ends_where_a_step_begins_hides_no_step():
         face = ground[[4 * 9 + 4]] + [-0.03, 0.0, 0.005]
         ledge = find_ledges(surface, ground, face, CONFIG.max_step)
         limits = np.zeros(height.shape), np.zeros(height.shape)
-        level = GroundLevel(
-            surface, face, ledge, find_limits(surface, np.zeros_like(height, bool), limits, height < 0), limits
-        )
+        level = GroundLevel(surface, face, ledge, limits, (height < 0.0, height < 0.0))
         found.append(len(obstacles_of(level, AGENTS["human"]).points))
     assert max(found) == 0
 

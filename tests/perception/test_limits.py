@@ -211,7 +211,7 @@ def test_limits_are_steps_slopes_ridges_and_the_edge_of_what_is_known_where_no_m
     step = np.where(np.isnan(height), 0.0, rng.choice([0.0, 0.0099, 0.0101, 0.3], shape))
     slope = np.where(np.isnan(height), 0.0, rng.choice([0.0, 1e-6, 0.3], shape))
     ridge = ~np.isnan(height) & (rng.random(shape) < 0.1)
-    found = find_limits(surface, material, (step, slope), ridge)
+    found = find_limits(surface, material, (step, slope), ridge, np.ones_like(ridge))
     expected = []
     for x, y in np.ndindex(shape):
         place = surface.origin + (np.array([x, y]) + 0.5) * width
@@ -233,7 +233,7 @@ def test_inferred_ground_is_known():
     cell, none = np.indices((16, 16))[0], np.zeros((16, 16), dtype=bool)
     surface = surface_of(np.where(cell < 8, 0.0, 0.2), 0.1)
     surface.state[7] = INFERRED
-    found = find_limits(surface, none, step_and_slope(surface), none)
+    found = find_limits(surface, none, step_and_slope(surface), none, ~none)
     assert set(found.kind.tolist()) == {int(ObstacleKind.STEP)}
     assert len(found.points) == 2 * 16
     np.testing.assert_allclose(found.value, 0.2, atol=1e-6)
@@ -334,7 +334,7 @@ def test_one_limit_alone_stands_over_the_middle_of_its_cell(what, value):
     surface = surface_of(np.array([[0.3, np.nan if what == "edge" else 0.3]]), 0.1)
     of_one = {name: np.array([[name == what, False]]) for name in ("step", "slope", "ridge")}
     measured = 0.2 * of_one["step"], 0.7 * of_one["slope"]
-    found = find_limits(surface, np.zeros((1, 2), bool), measured, of_one["ridge"])
+    found = find_limits(surface, np.zeros((1, 2), bool), measured, of_one["ridge"], np.ones((1, 2), bool))
     at = 0.15 if what == "edge" else 0.05
     np.testing.assert_allclose(found.points, [[1.05, -2.0 + at, 0.3]], atol=1e-6)
     np.testing.assert_allclose(found.value, [value])

@@ -11,7 +11,7 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.beside import beside, beside_now
 from gpdf_service.perception.boxes import widened
 from gpdf_service.perception.bumps import raised_over_sides
-from gpdf_service.perception.columns import ends_in_plan, heights_in_plan
+from gpdf_service.perception.columns import ends_in_plan, put_heights_in_plan
 from gpdf_service.perception.layers import build_layers, connect, crop_layers, steady
 from gpdf_service.perception.nodes import (
     components,
@@ -175,12 +175,12 @@ def test_a_change_is_told_what_a_build_is_in_strips_of_any_size(rows, monkeypatc
         if far == was:  # else what lies between is looked at, too
             assert 0 < max(looked) < 0.6 * len(near.layers.cell)
         was = far
-        raised = np.concatenate([each[0] for _, each in before.known["raised"]])
+        raised = np.concatenate([each for (each,) in before.known["raised"].made])
         expected = unlike_nodes((before.layers, raised), (near.layers, ours[0]), widened(cells, 1))
         found = near.unlike(
-            [tuple(each[0] for _, each in near.known["raised"])],
+            [tuple(each for (each,) in near.known["raised"].made)],
             before,
-            [tuple(each[0] for _, each in before.known["raised"])],
+            [tuple(each for (each,) in before.known["raised"].made)],
         )
         np.testing.assert_array_equal(found | widened(cells, 1), expected)
 
@@ -243,7 +243,8 @@ def test_sums_in_plan_and_heights_in_plan_are_those_of_numpy(layers):
         np.testing.assert_array_equal(sums[:, k], np.bincount(label, values * keep, minlength=5))
     nodes = np.unique(layers.cell, return_index=True)[1]
     grid = layers.origin, layers.cell_width
-    height, off = heights_in_plan(layers.columns, nodes, layers.place, *grid, (0, 0), layers.shape)
+    height, off = np.full(layers.shape, np.nan, np.float32), np.zeros((*layers.shape, 2), np.float32)
+    put_heights_in_plan(layers.columns, nodes, layers.place, 0, *grid, (0, 0), height, off)
     (left, right), (near, far) = ends_in_plan(layers.cell, layers.shape[1], nodes)
     assert (left, right, near, far) == (x.min(), x.max(), y.min(), y.max())
     np.testing.assert_array_equal(height[x[nodes], y[nodes]], layers.height[nodes].astype(np.float32))

@@ -9,7 +9,7 @@ import pytest
 from gpdf_service.perception.boxes import widened
 from gpdf_service.perception.footing import is_tread, on_treads
 from gpdf_service.perception.levels import GroundLevel
-from gpdf_service.perception.limits import GroundLimits, ObstacleKind
+from gpdf_service.perception.limits import ObstacleKind
 from gpdf_service.perception.obstacles import Scan, are_voxels, obstacles_of, obstacles_reach
 from gpdf_service.perception.points import points_of
 from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, cropped
@@ -52,12 +52,9 @@ def level_of(surface, rng, count):
     low, any_, over_head = rng.uniform(-0.05, 0.3, count), rng.uniform(0.0, 2.6, count), rng.uniform(1.0, 2.3, count)
     over = np.choose(rng.choice(3, count, p=[0.5, 0.25, 0.25]), [low, any_, over_head])
     ledge = np.where(rng.random(count) < 0.5, np.inf, high + rng.uniform(0.0, 0.5, count)).astype(np.float32)
-    limits = GroundLimits(
-        rng.normal(size=(30, 3)),
-        rng.integers(1, 4, 30).astype(np.uint8),
-        rng.choice([0.011, 0.04, 0.1, 0.3, 0.6, 1.0], 30),
-    )
-    return GroundLevel(surface, np.column_stack([xy, high + over]), ledge, limits, (np.zeros(shape), np.zeros(shape)))
+    measured = tuple(rng.choice([0.0, 0.011, 0.04, 0.1, 0.3, 0.6, 1.0], shape) for _ in range(2))
+    edges = rng.random(shape) < 0.5, np.zeros(shape, dtype=bool)
+    return GroundLevel(surface, np.column_stack([xy, high + over]), ledge, measured, edges)
 
 
 def near_cells(surface, i, j, rings):
@@ -193,11 +190,11 @@ def test_what_shuts_the_ground_off_is_in_reach_of_what_is_over_it(body, width):
 
     It does not where it is over the head of who stands in a pit further on.
     """
-    scan, rings, no_limits = Scan(0.0, 0.0, False), int(np.ceil(body.cylinder.radius / width)), np.zeros(0)
+    scan, rings = Scan(0.0, 0.0, False), int(np.ceil(body.cylinder.radius / width))
     pit_at = int((body.cylinder.radius + width) / width)
     shape, (x, y) = (240, 61), (100, 30)
     tall = max((1.0 - HEADROOM_SHARE) * body.height, LEAST_OBSTACLE + 2.0 * width)
-    limits = GroundLimits(np.zeros((0, 3)), no_limits.astype(np.uint8), no_limits)
+    flat, nowhere = np.zeros(shape), np.zeros(shape, dtype=bool)  # only material is asked about
     over, told = width * np.array([x + 0.999, y + 0.5]), set()
     reach, shut = obstacles_reach(HeightMap(np.zeros(2), width, np.zeros(shape, np.float32), np.zeros(shape)), body)
     box = tuple(slice(max(at - reach, 0), at + reach + 1) for at in (x, y))
@@ -207,10 +204,15 @@ def test_what_shuts_the_ground_off_is_in_reach_of_what_is_over_it(body, width):
         height = np.zeros(shape, np.float32)
         height[x + rings, y], height[behind + pit_at, y] = 0.5 * tall, -0.5 * tall if pit else 0.0
         surface = HeightMap(np.zeros(2), width, height, np.full(shape, OBSERVED, np.uint8))
-        whole = GroundLevel(surface, points, np.full(2, np.inf, np.float32), limits, (np.zeros(shape),) * 2)
+        whole = GroundLevel(surface, points, np.full(2, np.inf, np.float32), (flat, flat), (nowhere, nowhere))
         rows = [0, 1] if rings + away <= shut else [0]
         part = dataclasses.replace(
-            whole, surface=cropped(surface, box), other_points=points[rows], ledge=whole.ledge[rows]
+            whole,
+            surface=cropped(surface, box),
+            other_points=points[rows],
+            ledge=whole.ledge[rows],
+            measured=(flat[box], flat[box]),
+            edges=(nowhere[box], nowhere[box]),
         )
         met_in = [bool((obstacles_of(one, body, scan).points == points[0]).all(axis=1).any()) for one in (whole, part)]
         assert met_in == [pit or (away + np.sqrt(2.0)) * width >= body.disc_radius] * 2
@@ -233,9 +235,8 @@ def test_a_lintel_before_a_ledge_on_a_flight_stops_who_has_no_room_behind_its_no
     if turned:
         height, points = height.T, points[:, [1, 0, 2]]
     surface = HeightMap(np.zeros(2), width, height, np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8))
-    limits = GroundLimits(np.zeros((0, 3)), np.zeros(0, np.uint8), np.zeros(0))
-    measured = np.zeros(height.shape), np.zeros(height.shape)
-    level = GroundLevel(surface, points, np.full(len(points), np.inf, np.float32), limits, measured)
+    measured, guarded = (np.zeros(height.shape), np.zeros(height.shape)), np.ones(height.shape, dtype=bool)
+    level = GroundLevel(surface, points, np.full(len(points), np.inf, np.float32), measured, (guarded, ~guarded))
     scan = Scan(0.0, 0.0, False)
     assert met(level, human, scan) == list(range(len(points)))
     np.testing.assert_array_equal(obstacles_of(level, human, scan).points, points)
