@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -77,8 +78,9 @@ def prices(agent: Agent, prefer: Prefer = Prefer.COMPANION) -> FloatArray:
     return made
 
 
+@lru_cache(maxsize=64)
 def level_body(agent: Agent) -> Agent | None:
-    """The same body as it goes on level ground; None where it takes no step that is noticed."""
+    """The same body as it goes on level ground; None where it takes no step that is noticed. Asked for in each plan."""
     return replace(agent, max_step=NOTICED_STEP) if agent.max_step > NOTICED_STEP else None
 
 
