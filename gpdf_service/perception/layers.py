@@ -196,7 +196,7 @@ class Layers:
             yield self.rest[i], int(self.start[i * step * ny]), int(self.start[min((i + 1) * step, nx) * ny])
 
     def rows(self, low: int, high: int) -> Layers:
-        """The layers of some rows of cells, in views."""
+        """The layers of some rows of cells, in views: no strips of them are asked, as they begin anywhere in one."""
         ny, start = self.shape[1], self.start
         a, b = int(start[low * ny]), int(start[high * ny])
         strips = ((own, max(a - first, 0), b - first) for own, first, _ in self.strips(low, high))
