@@ -113,18 +113,19 @@ def centre_of(cells: Cells, c: int) -> tuple[float, float, float]:
 
 
 @njit(cache=True, nogil=True)
-def begin_sweep(cells: Cells, first: int) -> IntArray:
-    """Where the nine columns around cell `first` begin, shape (9,): what `look_around` goes on from."""
-    at = np.empty(9, np.int64)
-    for j in range(9):
-        at[j] = np.searchsorted(cells.key, cells.key[first] + _step(cells, j))
+def begin_sweep(cells: Cells, first: int, rings: int = 1) -> IntArray:
+    """Where the columns at most `rings` off cell `first` begin, shape ((2 rings + 1)²,): what a sweep goes on from."""
+    at = np.empty((2 * rings + 1) ** 2, np.int64)
+    for j in range(len(at)):
+        at[j] = np.searchsorted(cells.key, cells.key[first] + _step(cells, j, rings))
     return at
 
 
 @lean()
-def _step(cells: Cells, column: int) -> int:
+def _step(cells: Cells, column: int, rings: int) -> int:
     """From a cell's number to that of the lowest one in a column around it."""
-    return int((column // 3 - 1) * cells.strides[0] + (column % 3 - 1) * cells.strides[1] - 1)
+    x, y = divmod(column, 2 * rings + 1)
+    return int((x - rings) * cells.strides[0] + (y - rings) * cells.strides[1] - rings)
 
 
 @lean()
@@ -139,7 +140,7 @@ def look_around(cells: Cells, c: int, at: IntArray, near: IntArray) -> None:
     """
     key, m = cells.key, len(cells.key)
     for j in range(9):
-        target, p = key[c] + _step(cells, j), at[j]
+        target, p = key[c] + _step(cells, j, 1), at[j]
         while p < m and key[p] < target:
             p += 1
         at[j] = p
@@ -227,15 +228,19 @@ def _around_range(cells: Cells, asked: BoolArray, begin: int, end: int, found: B
 
 
 @lean()
-def cells_within(cells: Cells, c: int, rings: int, beside: IntArray) -> int:
-    """Write the cells at most `rings` off cell c, for few of them only: each column is searched for; how many."""
-    found = 0
-    for x in range(-rings, rings + 1):
-        for y in range(-rings, rings + 1):
-            lowest = cells.key[c] + x * cells.strides[0] + y * cells.strides[1] - rings
-            j = np.searchsorted(cells.key, lowest)
-            while j < len(cells.key) and cells.key[j] <= lowest + 2 * rings:
-                beside[found] = j
-                found += 1
-                j += 1
+def cells_within(cells: Cells, c: int, rings: int, at: IntArray, beside: IntArray) -> int:
+    """Write the cells at most `rings` off cell c, which is no less than in the call before; how many.
+
+    The sweep goes on from `at`, of `begin_sweep` with as many rings.
+    """
+    key, m, found = cells.key, len(cells.key), 0
+    for column in range(len(at)):
+        lowest, j = key[c] + _step(cells, column, rings), at[column]
+        while j < m and key[j] < lowest:
+            j += 1
+        at[column] = j
+        while j < m and key[j] <= lowest + 2 * rings:
+            beside[found] = j
+            found += 1
+            j += 1
     return found

@@ -15,17 +15,19 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.denoise.cells import Cells, cells_within, holds_any, sort_into_cells
+from gpdf_service.denoise.cells import Cells, begin_sweep, cells_within, holds_any, sort_into_cells
 from gpdf_service.denoise.cloud import HIDDEN, RESOLVED, Denoised
 from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.fields.traversal import decay
+from gpdf_service.fields.tree import VECTORS, lesser
 from gpdf_service.kernel_cache import lean
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 _RINGS = 2
 """Cells off its own in which a point's surface is looked for: 4 σ and more."""
-_FURTHEST = 5.0
-"""[-] Standard deviations off its surface that a point is: one in 1.7 million is further."""
+_STEEPEST = 0.5 * 5.0**2
+"""[-] r² / 2 σ² of a point r off its surface: one in 1.7 million is further than five standard deviations."""
 _CHANCE = 3.0
 """[-] Standard errors by which what was measured at a place may exceed what is expected there."""
 _SEEN = FEWEST * 2.0 * pi / (3.0 * RESOLVED) ** 2
@@ -60,67 +62,52 @@ def return_explained(
         return
     places, sigma, width = cured.points[rows], cured.local[rows], RESOLVED * cured.measured
     near = sort_into_cells(places, width)
-    doubtful = cured.vague[rows] | (cured.noise[rows] > HIDDEN * sigma)
-    alone = np.zeros(len(rows), dtype=bool)
-    run_chunked(lambda a, b: _alone_range(near, doubtful, sigma, a, b, alone), len(near.key))
-    doubtful |= alone
+    vague = cured.vague[rows] | (cured.noise[rows] > HIDDEN * sigma)
+    doubtful = vague.copy()
+    run_chunked(partial(_alone_range, near, vague, sigma, doubtful), len(near.key))
     cells = sort_into_cells(points[rows], width)
+    around, all_ = np.empty((len(rows), 4)), np.ones(len(rows), dtype=bool)
+    asked = _Asked(cells, doubtful, all_, own, sigma, apart, points[rows] - cells.corner, around)
+    run_chunked(partial(_measure_range, asked), len(cells.key))
     for thin in (False, True):
-        moved, told, shows = np.zeros(len(rows), dtype=bool), places - cells.corner, ~doubtful
+        moved, told = np.zeros(len(rows), dtype=bool), places - cells.corner
         if thin:
-            run_chunked(partial(_draw_range, cells, doubtful, sigma, told), len(cells.key))
-            shows = np.ones(len(rows), dtype=bool)
-        asked = _Asked(cells, doubtful, shows, own, sigma, apart, told)
+            told[doubtful] = around[doubtful, 1:]
+        asked = asked._replace(shows=all_ if thin else ~doubtful, told=told)
         run_chunked(partial(_explain_range, asked, places, moved), len(cells.key))
         doubtful &= ~moved
     cured.points[rows] = places
 
 
 @njit(cache=True, nogil=True)
-def _alone_range(told: Cells, vague: BoolArray, sigma: FloatArray, begin: int, end: int, alone: BoolArray) -> None:
-    """Which points have less around than a corner of a surface shows, of the least that shows one."""
-    beside = np.empty(27, np.int64)
+def _alone_range(told: Cells, vague: BoolArray, sigma: FloatArray, alone: BoolArray, begin: int, end: int) -> None:
+    """Add which points have less around than a corner of a surface shows, of the least that shows one."""
+    beside, at = np.empty(28, np.int64), begin_sweep(told, begin)
     for c in range(begin, end):
-        count = cells_within(told, c, 1, beside)
+        beside[0], count = c, 0
         for i in range(told.begin[c], told.begin[c + 1]):
-            x, y, z = told.places[i]
-            seen, scale = 0.0, -0.5 / sigma[told.order[i]] ** 2
-            for j in beside[:count]:
-                if seen >= _CORNER:
-                    break
-                for k in range(told.begin[j], told.begin[j + 1]):
-                    if k != i and not vague[told.order[k]]:
-                        p = told.places[k]
-                        seen += exp(scale * ((p[0] - x) ** 2 + (p[1] - y) ** 2 + (p[2] - z) ** 2))
+            if alone[told.order[i]]:
+                continue
+            seen = _shown_in(told, beside[:1], vague, i, sigma)
+            if seen < _CORNER:
+                if count == 0:
+                    count = cells_within(told, c, 1, at, beside[1:])
+                seen = _shown_in(told, beside[1 : count + 1], vague, i, sigma)
             alone[told.order[i]] = seen < _CORNER
 
 
-@njit(cache=True, nogil=True)
-def _draw_range(cells: Cells, doubtful: BoolArray, sigma: FloatArray, told: FloatArray, begin: int, end: int) -> None:
-    """Write the mean of what was measured around each doubtful point: half-way to what is thinner than the noise.
-
-    For a density p of what was measured the source of a point is expected at x + σ² ∇ log p (Tweedie, 1956; Efron,
-    2011). With p smoothed by σ itself, which makes it wider and the step shorter, that is this mean.
-    """
-    beside = np.empty((2 * _RINGS + 1) ** 3, np.int64)
-    for c in range(begin, end):
-        if not holds_any(cells, c, doubtful):
-            continue
-        count = cells_within(cells, c, _RINGS, beside)
-        for i in range(cells.begin[c], cells.begin[c + 1]):
-            row = cells.order[i]
-            if not doubtful[row]:
-                continue
-            (x, y, z), scale, total = cells.places[i], -0.5 / sigma[row] ** 2, 0.0
-            told[row] = 0.0
-            for j in beside[:count]:
-                for k in range(cells.begin[j], cells.begin[j + 1]):
-                    p = cells.places[k]
-                    weight = exp(scale * ((p[0] - x) ** 2 + (p[1] - y) ** 2 + (p[2] - z) ** 2))
-                    total += weight
-                    for a in range(3):
-                        told[row, a] += weight * p[a]
-            told[row] /= total
+@lean()
+def _shown_in(told: Cells, beside: IntArray, vague: BoolArray, i: int, sigma: FloatArray) -> float:
+    """Sum of exp(−r² / 2 σ²) over the points of some cells that are not vague, until it is `_CORNER`."""
+    (x, y, z), scale, seen = told.places[i], -0.5 / sigma[told.order[i]] ** 2, 0.0
+    for j in beside:
+        for k in range(told.begin[j], told.begin[j + 1]):
+            if k != i and not vague[told.order[k]]:
+                p = told.places[k]
+                seen += exp(scale * ((p[0] - x) ** 2 + (p[1] - y) ** 2 + (p[2] - z) ** 2))
+        if seen >= _CORNER:
+            break
+    return seen
 
 
 class _Asked(NamedTuple):
@@ -134,6 +121,7 @@ class _Asked(NamedTuple):
         sigma: Noise of each point [m], shape (n,).
         apart: Standard deviations off a surface of their own, within which they stay [-].
         told: Where the points are now, from the cells' corner [m], shape (n, 3).
+        around: What was measured around them, and its mean, shape (n, 4); of the doubtful.
     """
 
     cells: Cells
@@ -143,69 +131,144 @@ class _Asked(NamedTuple):
     sigma: FloatArray
     apart: float
     told: FloatArray
+    around: FloatArray
+
+
+class _Room(NamedTuple):
+    """The points about a cell, once for all those of it that are asked about.
+
+    Attributes:
+        places: Where they are told to be, from the cells' corner [m], shape (3, k).
+        rows: Which they are, shape (k,).
+    """
+
+    places: FloatArray
+    rows: IntArray
+
+
+@njit(cache=True, nogil=True)
+def _look(asked: _Asked, c: int, at: IntArray, beside: IntArray, room: _Room) -> tuple[_Room, int]:
+    """Write the points about cell c that show where something is into the room, or a larger one; how many."""
+    cells, count, found = asked.cells, 0, 0
+    near = beside[: cells_within(cells, c, _RINGS, at, beside)]
+    for j in near:
+        count += cells.begin[j + 1] - cells.begin[j]
+    if count > len(room.rows):
+        room = _Room(np.empty((3, 2 * count)), np.empty(2 * count, np.int64))
+    for j in near:
+        for k in range(cells.begin[j], cells.begin[j + 1]):
+            row = cells.order[k]
+            if asked.shows[row]:
+                for a in range(3):
+                    room.places[a, found] = asked.told[row, a]
+                room.rows[found] = row
+                found += 1
+    return room, found
+
+
+@njit(cache=True, nogil=True)
+def _measure_range(asked: _Asked, begin: int, end: int) -> None:
+    """Write how much was measured around each doubtful point, and its mean: half-way to what is thinner than the noise.
+
+    For a density p of what was measured the source of a point is expected at x + σ² ∇ log p (Tweedie, 1956; Efron,
+    2011). With p smoothed by σ itself, which makes it wider and the step shorter, that is this mean.
+    """
+    cells, doubtful, around = asked.cells, asked.doubtful, asked.around
+    beside, at = np.empty((2 * _RINGS + 1) ** 3, np.int64), begin_sweep(cells, begin, _RINGS)
+    room = _Room(np.empty((3, 0)), np.empty(0, np.int64))
+    for c in range(begin, end):
+        if not holds_any(cells, c, doubtful):
+            continue
+        room, count = _look(asked, c, at, beside, room)
+        for i in range(cells.begin[c], cells.begin[c + 1]):
+            row = cells.order[i]
+            if doubtful[row]:
+                _measure(room.places[:, :count], cells.places[i], 0.5 / asked.sigma[row] ** 2, around[row])
+
+
+@lean(fastmath=VECTORS)
+def _measure(places: FloatArray, x: FloatArray, rate: float, around: FloatArray) -> None:
+    """Write Σ exp(−r² / 2 σ²) over `places`, (3, k), without x itself, and their mean, shape (4,)."""
+    x0, x1, x2 = x[0], x[1], x[2]
+    total, m0, m1, m2 = 0.0, 0.0, 0.0, 0.0
+    for k in range(places.shape[1]):
+        a, b, c = places[0, k] - x0, places[1, k] - x1, places[2, k] - x2
+        t = (a * a + b * b + c * c) * rate
+        third = decay(lesser(t, _STEEPEST) / 12.0) ** 4
+        weight = third**3 if t <= _STEEPEST else 0.0
+        total += weight
+        m0 += weight * a
+        m1 += weight * b
+        m2 += weight * c
+    around[0] = total - 1.0
+    around[1], around[2], around[3] = x0 + m0 / total, x1 + m1 / total, x2 + m2 / total
 
 
 @njit(cache=True, nogil=True)
 def _explain_range(asked: _Asked, places: FloatArray, moved: BoolArray, begin: int, end: int) -> None:
-    cells, doubtful = asked.cells, asked.doubtful
-    beside, mean = np.empty((2 * _RINGS + 1) ** 3, np.int64), np.empty(3)
+    cells, doubtful, mean = asked.cells, asked.doubtful, np.empty(3)
+    beside, at = np.empty((2 * _RINGS + 1) ** 3, np.int64), begin_sweep(cells, begin, _RINGS)
+    room = _Room(np.empty((3, 0)), np.empty(0, np.int64))
     for c in range(begin, end):
         if not holds_any(cells, c, doubtful):
             continue
-        count = cells_within(cells, c, _RINGS, beside)
+        room, count = _look(asked, c, at, beside, room)
+        shown = _Room(room.places[:, :count], room.rows[:count])
         for i in range(cells.begin[c], cells.begin[c + 1]):
             row = cells.order[i]
-            if doubtful[row] and asked.own[row] and _is_explained(asked, beside[:count], i, mean):
+            if doubtful[row] and asked.own[row] and _is_explained(asked, shown, i, mean):
                 moved[row] = True
                 for k in range(3):
                     places[row, k] = mean[k] + cells.corner[k]
 
 
-@lean()
-def _is_explained(asked: _Asked, beside: IntArray, i: int, mean: FloatArray) -> bool:
+@lean(fastmath=VECTORS)
+def _is_explained(asked: _Asked, shown: _Room, i: int, mean: FloatArray) -> bool:
     """Whether the surfaces explain what is at place i; writes where on them it is expected to be from."""
-    cells, _, shows, _, _, apart, told = asked
-    sigma = asked.sigma[cells.order[i]]
-    measured, expected, variance, skew, total = 0.0, 0.0, 0.0, 0.0, 0.0
-    x, y, z = cells.places[i]
-    scale, furthest, least, nearest = -0.5 / sigma**2, (_FURTHEST * sigma) ** 2, np.inf, -1
-    mean[:] = 0.0
-    for j in beside:
-        for k in range(cells.begin[j], cells.begin[j + 1]):
-            if k == i:
-                continue
-            p, row = cells.places[k], cells.order[k]
-            off = (p[0] - x) ** 2 + (p[1] - y) ** 2 + (p[2] - z) ** 2
-            if off <= furthest:
-                measured += exp(scale * off)
-            if not shows[row]:
-                continue
-            s = told[row]
-            off = (s[0] - x) ** 2 + (s[1] - y) ** 2 + (s[2] - z) ** 2
-            if off > furthest:
-                continue
-            twelfth = exp(scale * off / 12.0)
-            third = twelfth**4
-            expected += _SINGLE * third * twelfth**2
-            variance += _SQUARE * third**2
-            skew += _CUBE * third**2 * twelfth
-            total += third**3
-            for a in range(3):
-                mean[a] += third**3 * s[a]
-            if off < least:
-                least, nearest = off, row
-    if (
-        nearest < 0
-        or (
-            asked.own[nearest]
-            and max(least, _square_between(told[cells.order[i]], told[nearest])) < (apart * sigma) ** 2
-        )
-        or total < _SEEN * exp(scale * least)
-        or measured > expected + _by_chance(variance, skew)
-    ):
+    row, (places, rows), (x0, x1, x2) = asked.cells.order[i], shown, asked.cells.places[i]
+    sigma = asked.sigma[row]
+    rate = 0.5 / sigma**2
+    if asked.apart > 0.0 and _stays(asked, shown, i):
         return False
-    mean /= total
+    expected, variance, skew, total, least = 0.0, 0.0, 0.0, 0.0, np.inf
+    m0, m1, m2 = 0.0, 0.0, 0.0
+    for k in range(len(rows)):
+        a, b, c = places[0, k] - x0, places[1, k] - x1, places[2, k] - x2
+        t = (a * a + b * b + c * c) * rate
+        t = t if rows[k] != row else 2.0 * _STEEPEST
+        least = lesser(t, least)
+        twelfth = decay(lesser(t, _STEEPEST) / 12.0)
+        twelfth = twelfth if t <= _STEEPEST else 0.0
+        third = twelfth**4
+        expected += _SINGLE * third * twelfth**2
+        variance += _SQUARE * third**2
+        skew += _CUBE * third**2 * twelfth
+        weight = third**3
+        total += weight
+        m0 += weight * a
+        m1 += weight * b
+        m2 += weight * c
+    if least > _STEEPEST or total < _SEEN * exp(-least):
+        return False
+    if asked.around[row, 0] > expected + _by_chance(variance, skew):
+        return False
+    mean[0], mean[1], mean[2] = x0 + m0 / total, x1 + m1 / total, x2 + m2 / total
     return True
+
+
+@lean()
+def _stays(asked: _Asked, shown: _Room, i: int) -> bool:
+    """Whether nothing is shown around place i, or it was measured and is near to what is nearest, of its own part."""
+    row, (places, rows), (x0, x1, x2) = asked.cells.order[i], shown, asked.cells.places[i]
+    least, nearest = np.inf, -1
+    for k in range(len(rows)):
+        off = (places[0, k] - x0) ** 2 + (places[1, k] - x1) ** 2 + (places[2, k] - x2) ** 2
+        if off < least and rows[k] != row:
+            least, nearest = off, rows[k]
+    if nearest < 0:
+        return True
+    near = max(least, _square_between(asked.told[row], asked.told[nearest]))
+    return bool(asked.own[nearest] and near < (asked.apart * asked.sigma[row]) ** 2)
 
 
 @lean()

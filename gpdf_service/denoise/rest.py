@@ -76,10 +76,11 @@ def find_alone(cells: Cells, placed: Placed) -> BoolArray:
 def _follow_range(windows: Windows, placed: Placed, begin: int, end: int) -> None:
     cells, sigma, _, main = windows
     beside, limit = np.empty((2 * _RINGS + 1) ** 3, np.int64), _FURTHEST * sigma
+    at = begin_sweep(cells, begin, _RINGS)
     for c in range(begin, end):
         if not holds_any(cells, c, placed.pending):
             continue
-        count = cells_within(cells, c, _RINGS, beside)
+        count = cells_within(cells, c, _RINGS, at, beside)
         for i in range(cells.begin[c], cells.begin[c + 1]):
             row = cells.order[i]
             if not placed.pending[row]:
@@ -134,7 +135,7 @@ def _company_range(windows: Windows, off: FloatArray, far: BoolArray, begin: int
 @njit(cache=True, nogil=True)
 def _alone_range(cells: Cells, pending: BoolArray, begin: int, end: int, stray: BoolArray) -> None:
     near, at = np.empty(AROUND, np.int64), begin_sweep(cells, begin)
-    beside = np.empty((2 * _SURROUNDINGS + 1) ** 3, np.int64)
+    beside, wide = np.empty((2 * _SURROUNDINGS + 1) ** 3, np.int64), begin_sweep(cells, begin, _SURROUNDINGS)
     for c in range(begin, end):
         if not holds_any(cells, c, pending):
             continue
@@ -146,7 +147,7 @@ def _alone_range(cells: Cells, pending: BoolArray, begin: int, end: int, stray: 
                 continue
             if around < 0:
                 around = 0
-                for j in beside[: cells_within(cells, c, _SURROUNDINGS, beside)]:
+                for j in beside[: cells_within(cells, c, _SURROUNDINGS, wide, beside)]:
                     around += cells.begin[j + 1] - cells.begin[j]
             stray[row] = around > FEWEST
 

@@ -50,7 +50,7 @@ def draw_in(windows: Windows, placed: Placed) -> BoolArray:
 @njit(cache=True, nogil=True)
 def _rim_range(windows: Windows, before: Placed, placed: Placed, begin: int, end: int, few: BoolArray) -> None:
     cells = windows.cells
-    near, at = np.empty(AROUND, np.int64), begin_sweep(cells, begin)
+    near, at, wide = np.empty(AROUND, np.int64), begin_sweep(cells, begin), begin_sweep(cells, begin, _STRIP)
     out, total, beside = np.empty(3), np.empty(10), np.empty((2 * _STRIP + 1) ** 3, np.int64)
     for c in range(begin, end):
         look_around(cells, c, at, near)
@@ -64,7 +64,7 @@ def _rim_range(windows: Windows, before: Placed, placed: Placed, begin: int, end
             few[row] = found < FEWEST
             if aside and not few[row]:
                 if count == 0:
-                    count = cells_within(cells, c, _STRIP, beside)
+                    count = cells_within(cells, c, _STRIP, wide, beside)
                 beyond = -_end(windows, beside[:count], row, before, out)
                 if beyond > 0.0:
                     for k in range(3):

@@ -50,6 +50,6 @@ def test_a_sweep_that_begins_in_the_middle_finds_the_same_cells():
 def test_cells_two_rings_off_are_those_whose_centres_are():
     cells = sort_into_cells(cloud(np.random.default_rng(2)), 0.11)
     centres = np.array([centre_of(cells, c) for c in range(len(cells.key))])
-    beside = np.empty(125, np.int64)
+    beside, at = np.empty(125, np.int64), begin_sweep(cells, 0, 2)
     for c, around in enumerate(cKDTree(centres).query_ball_point(centres, 2.5 * cells.width, p=np.inf)):
-        assert sorted(beside[: cells_within(cells, c, 2, beside)]) == sorted(around)
+        assert sorted(beside[: cells_within(cells, c, 2, at, beside)]) == sorted(around)
