@@ -28,7 +28,7 @@ install: .venv/warm
 	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[all]' --group dev
 	@touch $@
 
-# Compiling takes one core: `make -j 2 lint install` checks beside it. What a change of a kernel touches comes again.
+# Compiling takes all cores for minutes, once. What a change of a kernel touches comes again.
 .venv/warm: .venv/installed $(shell grep -rl --include=*.py njit gpdf_service)
 	.venv/bin/gpdf warm
 	@touch $@

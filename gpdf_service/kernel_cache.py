@@ -13,6 +13,7 @@ import hashlib
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from fcntl import LOCK_EX, flock
 from functools import cache
 from pathlib import Path
 from pickle import UnpicklingError
@@ -21,6 +22,7 @@ from typing import Any, TypeVar
 from numba import config, njit
 from numba.core import caching
 from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -194,6 +196,31 @@ def load_kept(*packages: str) -> None:
         for key in kept._cache_file._load_index():
             if key == kept._index_key(key[0], own.targetctx.codegen()):
                 own.compile(key[0])
+
+
+def compile_in_turn(folder: Path) -> None:
+    """Of all processes that call this with the same `folder`, one at a time compiles a kernel; others load it then.
+
+    Without it each would compile what all need, and of two that keep a kernel at once, for arrays of two types, one
+    would be lost. Whoever compiles a kernel waits for those that it calls, and these never for it.
+    """
+    alone: Any  # Numba's types are of what calls it, not of what stands in for it
+    alone, held = Dispatcher.compile, set[Path]()
+
+    def in_turn(own: Any, signature: object) -> object:  # noqa: ANN401
+        file = folder / f"{own.py_func.__module__}.{own.py_func.__qualname__}"
+        with global_compiler_lock:  # first, or a thread that has it waits for the file of one that waits for it
+            if file in held or isinstance(own._cache, caching.NullCache):
+                return alone(own, signature)
+            with file.open("w") as turn:
+                flock(turn, LOCK_EX)
+                held.add(file)
+                try:
+                    return alone(own, signature)
+                finally:
+                    held.remove(file)
+
+    Dispatcher.compile = in_turn  # type: ignore[assignment, method-assign]
 
 
 def forget_others(kernels: Iterable[Dispatcher]) -> int:

@@ -123,11 +123,11 @@ class Warming:
         """All of it by name, to be called."""
         return {
             "plans": self.plans,
+            "noise": self.noise,
             "grounds": self.grounds,
             "storeys": self.storeys,
-            "noise": self.noise,
-            "changes": self.changes,
             "bodies": self.bodies,
-            "heaps": self.heaps,
             "methods": self.methods,
+            "changes": self.changes,
+            "heaps": self.heaps,
         }

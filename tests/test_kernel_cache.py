@@ -39,6 +39,19 @@ made = [outer(1), apart(7), plain(0)]
 compiled = [sum(one.stats.cache_misses.values()) for one in (outer, apart, self_made)]
 print(json.dumps([made, compiled, forget_others([outer, apart]) if sys.argv[1:] else 0, outer.stats.cache_path]))
 """
+IN_TURN = """
+import json, os, sys, time
+from pathlib import Path
+from gpdf_service.high import outer
+from gpdf_service.kernel_cache import compile_in_turn
+compile_in_turn(Path("turns"))
+Path(sys.argv[1]).touch()
+while not (Path("0").exists() and Path("1").exists()):
+    time.sleep(0.001)
+outer(1)
+outer([1.0, 1][int(sys.argv[1])])
+print(sum(outer.stats.cache_misses.values()))
+"""
 FORKS = """
 import json, os, sys
 from numba import config, njit
@@ -160,6 +173,15 @@ def test_what_is_kept_of_a_function_that_is_gone_is_deleted_and_nothing_else_is(
         file.touch()
     assert ask("forget")[1:3] == [[0, 0, 0], 2]
     assert [file.exists() for file in old + others] == [False, False, True, True]
+
+
+def test_of_processes_that_compile_at_once_one_compiles_a_kernel_and_all_that_they_compile_is_kept(small):
+    (small.parent / "turns").mkdir()
+    given = {"cwd": small.parent, "env": os.environ | {"PYTHONPATH": str(small.parent)}, "text": True}
+    words = [sys.executable, "-c", IN_TURN]
+    both = [subprocess.Popen([*words, name], stdout=subprocess.PIPE, **given) for name in "01"]
+    assert sum(int(one.communicate(timeout=60)[0]) for one in both) == 2  # one for each type
+    assert subprocess.run([*words, "0"], stdout=subprocess.PIPE, check=True, **given).stdout == "0\n"
 
 
 @pytest.mark.parametrize("path", KERNEL_FILES, ids=lambda path: str(path.relative_to(PACKAGE)))

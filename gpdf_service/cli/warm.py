@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 import time
+from concurrent.futures import ProcessPoolExecutor, wait
+from multiprocessing import get_context
+from multiprocessing.sharedctypes import Synchronized
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
-from numba.core.event import Event, Listener, install_listener
+from numba.core.event import Event, Listener, register
 from tqdm import tqdm
 
 from gpdf_service.cli.work import size_of_terminal
+
+BLINK = 0.1
+"""[s] Between two looks at how many kernels there are."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -18,39 +27,66 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
-class _Bar(Listener):  # type: ignore[misc]  # Numba has no types
-    """Moves a bar with each kernel that is compiled."""
+class _Counter(Listener):  # type: ignore[misc]  # Numba has no types
+    """Counts each kernel that is compiled."""
 
-    def __init__(self, bar: tqdm[None]) -> None:
-        self.compiled, self._bar = 0, bar
+    def __init__(self, count: Synchronized[int]) -> None:
+        self._count = count
 
     def on_start(self, event: Event) -> None:
         """One that is not in the cache."""
 
     def on_end(self, event: Event) -> None:
         """One more is in the cache now."""
-        self.compiled += 1
-        self._bar.update()
+        with self._count.get_lock():
+            self._count.value += 1
+
+
+def _begin(folder: Path, compiled: Synchronized[int]) -> None:
+    """What each process does first."""
+    from gpdf_service.kernel_cache import compile_in_turn
+
+    compile_in_turn(folder)
+    register("numba:compile", _Counter(compiled))  # type: ignore[no-untyped-call]
+
+
+def _run_step(name: str) -> None:
+    from gpdf_service.warm import Warming
+
+    Warming().steps()[name]()
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run what needs the kernels; most of the time, if there is any to speak of, goes into compiling them."""
+    """Run what needs the kernels; most of the time, if there is any to speak of, goes into compiling them.
+
+    A process a core takes one step after the other: each begins with kernels that others do not need.
+    """
     from gpdf_service.kernel_cache import forget_others, kernels
     from gpdf_service.warm import Warming
 
-    began = time.monotonic()
-    with tqdm(
-        total=len(list(kernels())), desc="kernels", unit="kernel", disable=not sys.stderr.isatty(), **size_of_terminal()
-    ) as bar:
-        told = _Bar(bar)
-        with install_listener("numba:compile", told):
-            for name, step in Warming().steps().items():
-                bar.set_postfix_str(name)
-                step()
+    began, context = time.monotonic(), get_context("spawn")
+    compiled, cores = context.Value("i", 0), len(os.sched_getaffinity(0))
+    with (
+        TemporaryDirectory() as folder,
+        ProcessPoolExecutor(cores, context, _begin, (Path(folder), compiled)) as pool,
+        tqdm(
+            total=len(list(kernels())),
+            desc="kernels",
+            unit="kernel",
+            disable=not sys.stderr.isatty(),
+            **size_of_terminal(),
+        ) as bar,
+    ):
+        left = {pool.submit(_run_step, name) for name in Warming().steps()}
+        while left:
+            done, left = wait(left, BLINK)
+            for step in done:
+                step.result()
+            bar.update(compiled.value - bar.n)
     forget_others(kernels())
     seconds = time.monotonic() - began
     if args.json:
-        print(json.dumps({"compiled": told.compiled, "seconds": seconds}))
+        print(json.dumps({"compiled": compiled.value, "seconds": seconds}))
     else:
-        print(f"{told.compiled} kernels compiled in {seconds:.0f} s; the others were there")
+        print(f"{compiled.value} kernels compiled in {seconds:.0f} s; the others were there")
     return 0
