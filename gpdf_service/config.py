@@ -24,8 +24,6 @@ class PerceptionConfig:
     """[m] Highest step that joins two pieces of ground: what the most able body takes; a seat is 0.40 to 0.45 high."""
     stair_step: float = 0.25
     """[m] Highest riser of a stair: building codes say 0.19 to 0.22; treads too narrow to stand on must keep to it."""
-    tread_length: float = 0.3
-    """[m] Least that is seen of a tread beside a handrail and its shadow; whether a body fits is decided later."""
     tread_depth: float = 0.2
     """[m] Shallowest tread: building codes say 0.22 to 0.28; a scan loses an edge."""
     standing_width: float = 0.5
@@ -118,6 +116,13 @@ class Config:
             ConfigError: an unknown key, a wrong type or a value out of range.
         """
         return _build(cls, values, "config")
+
+    @classmethod
+    def from_kept(cls, values: Mapping[str, Mapping[str, Any]]) -> Config:
+        """What a scene's file holds: as `from_mapping`, without what is asked for no more."""
+        now = dataclasses.asdict(cls())
+        kept = {table: {key: each[key] for key in each if key in now[table]} for table, each in values.items()}
+        return cls.from_mapping(kept)
 
 
 def read_tables(file: Path) -> dict[str, Any]:

@@ -601,7 +601,7 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
         SceneFileError: the file is missing, damaged, or of another version.
     """
     arrays, meta, later = read_arrays(path, later="agents/")
-    levels, config = levels_from_arrays(arrays, arrays["points"]), Config.from_mapping(meta["config"])
+    levels, config = levels_from_arrays(arrays, arrays["points"]), Config.from_kept(meta["config"])
     fields = [
         _restore_ground(level, under(f"ground_fields/{i}/", arrays), config) for i, level in enumerate(levels.levels)
     ]
