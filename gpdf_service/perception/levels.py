@@ -57,6 +57,7 @@ from gpdf_service.perception.limits import (
     step_and_slope,
 )
 from gpdf_service.perception.notches import FLIGHT, NOTCH_DEPTH, between_treads
+from gpdf_service.perception.overhead import overhead_reach, unseen_beneath
 from gpdf_service.perception.points import Points, points_of
 from gpdf_service.perception.rays import Rays, seen_by_rays
 from gpdf_service.perception.rows import between, chosen_rows, extent_within, rows_by_cell, taken, under
@@ -431,23 +432,27 @@ def _find_others(site: _Site, sheet: BoolArray, seen: HeightMap, near: Nearest, 
     low, high, treads, rim = grid.around("span", reach, answer, seen.height, seen.state)
     beside = np.where(near.distance <= MAX_HOLE_RADIUS, near.height, np.float32(np.nan))
     given = grid.known["seen"].given[0], seen.height, low, high, treads, rim, beside
-    cells = grid.felt("voids", 0, *given, points=True)
-    rows, points = site.cloud.part(seen, cells)
+    around = overhead_reach(width)
+    cells = grid.felt("voids", around, *given, points=True)
+    rows, points = site.cloud.part(seen, widened(cells, around))
     cell, stray, ground, out = cells_within(points, seen), site.stray[rows], site.ground[rows], seen.state.size
     nodes = site.layers.grid_of(points), sheet, out  # what is out is as those outside: in no cell
     run_chunked(lambda a, b: take_out(points[a:b], stray[a:b], ground[a:b], *nodes, cell[a:b]), len(points))
-    box = window(cells, 0)
+    box = window(cells, around)
     part, shown, inside, z = cropped(seen, box), Nearest(near.distance[box], near.height[box]), cell, points[:, 2]
-    if part.state.size < out:
+    if not cells.all():
         inside = np.where(cell == out, part.state.size, cells_within(points, seen, box))
+        cell = np.where(np.append(cells, False)[cell], cell, out)
     near_by, found = run_beside(
         partial(between, inside, z, under(low[box] - width), high[box] + TALLEST),
         partial(find_voids, part, shown, treads[box], rim[box], inside, z, max_step),
     )
     grid.put("voids", given, cells, [(box, found)] if cells.any() else [])
+    deep = unseen_beneath(inside, z, ground, beside[box], width, site.config)
     cell[~near_by] = out
     begin, order = by_cell(cell, out + 1)
     fresh, begin = taken(points, order[: begin[-2]]), begin[:-1]
+    fresh[deep[order[: len(fresh)]], 2] -= max_step  # ground over head counts as what it may reach down to
     unlike = cells if cells.all() else unlike_cells(cells, was.first, was.level.other_points, begin, fresh)
     own = unlike.ravel(), was.first, begin
     first, runs = starts_spliced(*own), runs_of(*own)
