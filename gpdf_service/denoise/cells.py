@@ -6,7 +6,7 @@ their neighbours by pointers that only go forward: work and memory are those of 
 
 from __future__ import annotations
 
-from math import floor
+from math import floor, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +14,7 @@ from numba import njit
 
 from gpdf_service.fields.order import corners_of, order_by
 from gpdf_service.fields.shapes import add
+from gpdf_service.fields.spacing import NEIGHBOURS, SAMPLE
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.kernel_cache import lean
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -114,18 +115,16 @@ def centre_of(cells: Cells, c: int) -> tuple[float, float, float]:
 
 @njit(cache=True, nogil=True)
 def begin_sweep(cells: Cells, first: int, rings: int = 1) -> IntArray:
-    """Where the columns at most `rings` off cell `first` begin, shape ((2 rings + 1)²,): what a sweep goes on from."""
-    at = np.empty((2 * rings + 1) ** 2, np.int64)
-    for j in range(len(at)):
-        at[j] = np.searchsorted(cells.key, cells.key[first] + _step(cells, j, rings))
+    """What a sweep goes on from, shape (2, (2 rings + 1)²): where the columns at most `rings` off cell `first` begin.
+
+    And by how much the number of the lowest cell in such a column exceeds that of the cell itself.
+    """
+    at = np.empty((2, (2 * rings + 1) ** 2), np.int64)
+    for j in range(at.shape[1]):
+        x, y = divmod(j, 2 * rings + 1)
+        at[1, j] = (x - rings) * cells.strides[0] + (y - rings) * cells.strides[1] - rings
+        at[0, j] = np.searchsorted(cells.key, cells.key[first] + at[1, j])
     return at
-
-
-@lean()
-def _step(cells: Cells, column: int, rings: int) -> int:
-    """From a cell's number to that of the lowest one in a column around it."""
-    x, y = divmod(column, 2 * rings + 1)
-    return int((x - rings) * cells.strides[0] + (y - rings) * cells.strides[1] - rings)
 
 
 @lean()
@@ -140,10 +139,10 @@ def look_around(cells: Cells, c: int, at: IntArray, near: IntArray) -> None:
     """
     key, m = cells.key, len(cells.key)
     for j in range(9):
-        target, p = key[c] + _step(cells, j, 1), at[j]
+        target, p = key[c] + at[1, j], at[0, j]
         while p < m and key[p] < target:
             p += 1
-        at[j] = p
+        at[0, j] = p
         for k in range(3):
             near[3 * j + k] = -1
             if p < m and key[p] == target + k:
@@ -209,6 +208,40 @@ def holds_any(cells: Cells, c: int, asked: BoolArray) -> bool:
     return bool(found)
 
 
+def are_nearer(cells: Cells, spacing: float) -> bool:
+    """Whether `estimate_spacing` of the points is at most this, told by cells that are 1.6 times as wide, or wider."""
+    nearer = np.zeros(-(-len(cells.order) // _step_of(cells)), dtype=bool)
+    run_chunked(lambda a, b: _nearer_range(cells, spacing, a, b, nearer), len(cells.key))
+    return bool(2 * np.count_nonzero(nearer) > len(nearer))
+
+
+@njit(cache=True, nogil=True)
+def _step_of(cells: Cells) -> int:
+    """Which of the points are looked at: every so many."""
+    return max(1, len(cells.order) // SAMPLE)
+
+
+@njit(cache=True, nogil=True)
+def _nearer_range(cells: Cells, spacing: float, begin: int, end: int, nearer: BoolArray) -> None:
+    step, k = _step_of(cells), min(NEIGHBOURS, len(cells.order) - 1)
+    square = spacing**2 * k / pi
+    near, at = np.empty(AROUND, np.int64), begin_sweep(cells, begin)
+    for c in range(begin, end):
+        looked = False
+        for i in range(cells.begin[c], cells.begin[c + 1]):
+            if cells.order[i] % step != 0:
+                continue
+            if not looked:
+                look_around(cells, c, at, near)
+                looked = True
+            x, count = cells.places[i], 0
+            for j in near:
+                if j >= 0:
+                    for y in cells.places[cells.begin[j] : cells.begin[j + 1]]:
+                        count += (x[0] - y[0]) ** 2 + (x[1] - y[1]) ** 2 + (x[2] - y[2]) ** 2 <= square
+            nearer[cells.order[i] // step] = count > k
+
+
 def cells_around(cells: Cells, asked: BoolArray) -> BoolArray:
     """Which cells hold a point that is `asked` for, shape (n,), or are beside one that does, shape (m,)."""
     found = np.zeros(len(cells.key), dtype=bool)
@@ -233,14 +266,33 @@ def cells_within(cells: Cells, c: int, rings: int, at: IntArray, beside: IntArra
 
     The sweep goes on from `at`, of `begin_sweep` with as many rings.
     """
-    key, m, found = cells.key, len(cells.key), 0
-    for column in range(len(at)):
-        lowest, j = key[c] + _step(cells, column, rings), at[column]
-        while j < m and key[j] < lowest:
-            j += 1
-        at[column] = j
-        while j < m and key[j] <= lowest + 2 * rings:
+    found = 0
+    for column in range(at.shape[1]):
+        first, last = _go_on(cells, c, 2 * rings, at, column)
+        for j in range(first, last):
             beside[found] = j
             found += 1
-            j += 1
     return found
+
+
+@lean()
+def runs_within(cells: Cells, c: int, rings: int, at: IntArray, runs: IntArray) -> int:
+    """As `cells_within`, but write where the places of a column's cells begin and end, shape (…, 2)."""
+    found = 0
+    for column in range(at.shape[1]):
+        first, last = _go_on(cells, c, 2 * rings, at, column)
+        runs[found, 0], runs[found, 1] = cells.begin[first], cells.begin[last]
+        found += first < last
+    return found
+
+
+@lean()
+def _go_on(cells: Cells, c: int, high: int, at: IntArray, column: int) -> tuple[int, int]:
+    """Where a column around cell c begins, and ends `high` cells over its lowest one."""
+    key, m, lowest, first = cells.key, len(cells.key), cells.key[c] + at[1, column], at[0, column]
+    while first < m and key[first] < lowest:
+        first += 1
+    at[0, column] = last = first
+    while last < m and key[last] <= lowest + high:
+        last += 1
+    return first, last

@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.denoise.cells import Cells, cells_around, sort_into_cells
+from gpdf_service.denoise.cells import Cells, are_nearer, cells_around, sort_into_cells
 from gpdf_service.denoise.edges import place_at_edges
 from gpdf_service.denoise.noise import estimate_noise
 from gpdf_service.denoise.place import Placed, place_in_cells
@@ -160,14 +160,17 @@ def _medians(blocks: Cells, off: FloatArray, most: float, begin: int, end: int, 
 
 def _denoise_alike(points: FloatArray, noise: float, things: bool) -> Denoised:
     """Points that are as noisy all over, in one pass."""
-    width = max(RESOLVED * noise, _FILLED * estimate_spacing(points))
+    width = RESOLVED * noise
+    cells = sort_into_cells(points, _WIDE * width)
+    if not are_nearer(cells, width / _FILLED):
+        width = max(width, _FILLED * estimate_spacing(points))
+        cells = sort_into_cells(points, _WIDE * width)
     placed = Placed(
         points.copy(),
         np.full(len(points), np.inf),
         np.ones(len(points), dtype=bool),
         np.zeros(points.shape, np.float32),
     )
-    cells = sort_into_cells(points, _WIDE * width)
     wide = find_planes(cells, noise, np.ones(len(cells.key), dtype=bool))
     _place_flat(wide, placed)
     cells = sort_into_cells(points, width)

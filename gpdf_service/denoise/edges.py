@@ -13,7 +13,6 @@ from numba import njit
 
 from gpdf_service.denoise.cells import (
     AROUND,
-    Cells,
     begin_sweep,
     cells_within,
     centre_of,
@@ -23,8 +22,8 @@ from gpdf_service.denoise.cells import (
 )
 from gpdf_service.denoise.place import Placed, place_points
 from gpdf_service.denoise.planes import THICK, Windows
-from gpdf_service.denoise.turns import fit_by_turns, sum_known
-from gpdf_service.denoise.votes import LIGHT, VOTES, Room, add_vote, cluster, collect, make_room, onto_plane
+from gpdf_service.denoise.turns import fit_by_turns, look_at, sum_known
+from gpdf_service.denoise.votes import LIGHT, MOST, VOTES, Room, add_vote, cluster, collect, make_room, onto_plane
 from gpdf_service.fields.shapes import FEWEST, add, fit_plane
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.kernel_cache import lean
@@ -32,8 +31,6 @@ from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 _RINGS = 3
 """Cells off its own that planes are taken from: a window clear of an edge is two off, all those around it three."""
-_MOST = 400
-"""Points of a window that planes are fitted to."""
 _HALF = 1.0
 """[-] Cells to either side of a cell's middle whose points the planes must explain: half of them are its own."""
 
@@ -53,14 +50,14 @@ def place_at_edges(windows: Windows, placed: Placed) -> None:
 def _edge_range(windows: Windows, flat: BoolArray, placed: Placed, begin: int, end: int) -> None:
     cells, sigma, planes, _ = windows
     near, beside = np.empty(AROUND, np.int64), np.empty((2 * _RINGS + 1) ** 3, np.int64)
-    room, rows = make_room(len(beside)), np.empty(_MOST, np.int64)
+    room, rows = make_room(len(beside)), np.empty(MOST, np.int64)
     at, wide = begin_sweep(cells, begin), begin_sweep(cells, begin, _RINGS)
     for c in range(begin, end):
         if not holds_any(cells, c, placed.pending):
             continue
         look_around(cells, c, at, near)
-        own = rows[: gather(cells, near, rows)]
-        number, least = _thickness(windows, c, own, room)
+        about = room.about[:, : look_at(cells, c, rows[: gather(cells, near, rows)], room)]
+        number, least = _thickness(about, _HALF * cells.width, room)
         if number < FEWEST:
             continue
         count, (x, y, z) = 0, centre_of(cells, c)
@@ -72,20 +69,20 @@ def _edge_range(windows: Windows, flat: BoolArray, placed: Placed, begin: int, e
         if kinds == 0 or (kinds == 1 and least > _explained(sigma, number)):
             continue
         sum_known(room.found[:kinds], cells.width, sigma, room.known)
-        fit_by_turns(windows, c, own, room, kinds)
-        rest = _rest(windows, c, own, room, kinds)
-        if rest <= _explained(sigma, number) and not _bends(windows, c, near, own, kinds, rest):
+        fit_by_turns(sigma, cells.width, room, about.shape[1], kinds)
+        rest = _rest(about, _HALF * cells.width, room, kinds)
+        if rest <= _explained(sigma, number) and not _bends(windows, near, about, kinds, rest):
             place_points(windows, c, room, kinds, placed)
 
 
 @njit(cache=True, nogil=True)
-def _bends(windows: Windows, c: int, near: IntArray, rows: IntArray, kinds: int, rest: float) -> bool:
+def _bends(windows: Windows, near: IntArray, about: FloatArray, kinds: int, rest: float) -> bool:
     """Whether no more planes, of the windows right around, leave less: then the surface bends, and goes not on."""
     room = make_room(VOTES)
     own = cluster(room, collect(windows, near, room.votes), windows.cells.width, windows.sigma)
     if own == 0 or own > kinds:
         return own == 0
-    return bool(_rest(windows, c, rows, room, own) < rest)
+    return bool(_rest(about, _HALF * windows.cells.width, room, own) < rest)
 
 
 @lean()
@@ -95,34 +92,32 @@ def _explained(sigma: float, number: int) -> float:
 
 
 @lean()
-def _thickness(windows: Windows, c: int, rows: IntArray, room: Room) -> tuple[int, float]:
-    """How many of the points `rows` are in and about cell c, and what no one plane can leave less of than [m²]."""
-    cells, moments, (x, normal, _) = windows.cells, room.sums[0], room.vectors
+def _thickness(about: FloatArray, half: float, room: Room) -> tuple[int, float]:
+    """How many of the points about a cell are near it, and what no one plane can leave less of than [m²]."""
+    moments, (place, normal, _) = room.sums[0], room.vectors
     moments[:] = 0.0
-    for i in rows:
-        if _is_about(cells, c, i, x):
-            add(moments, x[0], x[1], x[2])
-    return int(moments[0]), moments[0] * fit_plane(moments, x, normal)[0] if moments[0] >= FEWEST else 0.0
+    for k in range(about.shape[1]):
+        if _is_near(about, k, half):
+            add(moments, about[0, k], about[1, k], about[2, k])
+    return int(moments[0]), moments[0] * fit_plane(moments, place, normal)[0] if moments[0] >= FEWEST else 0.0
 
 
 @lean()
-def _is_about(cells: Cells, c: int, i: int, x: FloatArray) -> bool:
-    """Write a place from the middle of cell c, (3,) [m]; whether its planes must explain it."""
-    a, b, d = centre_of(cells, c)
-    x[0], x[1], x[2] = cells.places[i, 0] - a, cells.places[i, 1] - b, cells.places[i, 2] - d
-    return bool(max(abs(x[0]), abs(x[1]), abs(x[2])) <= _HALF * cells.width)
+def _is_near(about: FloatArray, k: int, half: float) -> bool:
+    """Whether the planes of a cell must explain a point about it."""
+    return bool(max(abs(about[0, k]), abs(about[1, k]), abs(about[2, k])) <= half)
 
 
 @lean()
-def _rest(windows: Windows, c: int, rows: IntArray, room: Room, kinds: int) -> float:
-    """Sum of the squares by which the points in and about cell c are off its planes [m²]."""
-    found, (x, place, _), total = room.found[:kinds], room.vectors, 0.0
-    for i in rows:
-        if not _is_about(windows.cells, c, i, x):
+def _rest(about: FloatArray, half: float, room: Room, kinds: int) -> float:
+    """Sum of the squares by which the points near a cell are off its planes [m²]."""
+    found, (_, place, _), total = room.found[:kinds], room.vectors, 0.0
+    for k in range(about.shape[1]):
+        if not _is_near(about, k, half):
             continue
         least = np.inf
         for kind in range(kinds):
             if found[kind, 4] >= LIGHT * found[0, 4]:
-                least = min(least, onto_plane(found, room.ends, kind, x, place))
+                least = min(least, onto_plane(found, room.ends, kind, about[:, k], place))
         total += least
     return total

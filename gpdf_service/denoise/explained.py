@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.denoise.cells import Cells, begin_sweep, cells_within, holds_any, sort_into_cells
+from gpdf_service.denoise.cells import Cells, begin_sweep, runs_within, sort_into_cells
 from gpdf_service.denoise.cloud import HIDDEN, RESOLVED, Denoised
 from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.threads import run_chunked
@@ -57,23 +57,20 @@ def return_explained(
         apart: Standard deviations off a surface of the `part`: nearer it stays, if it was measured and is there [-].
     """
     rows = np.flatnonzero((part | shown) & ~cured.stray)
-    own = part[rows]
     if len(rows) == 0 or cured.measured <= _TOLD * spacing:
         return
-    places, sigma, width = cured.points[rows], cured.local[rows], RESOLVED * cured.measured
-    near = sort_into_cells(places, width)
+    sigma, width = cured.local[rows], RESOLVED * cured.measured
     vague = cured.vague[rows] | (cured.noise[rows] > HIDDEN * sigma)
-    doubtful = vague.copy()
-    run_chunked(partial(_alone_range, near, vague, sigma, doubtful), len(near.key))
+    near, alone = sort_into_cells(cured.points[rows], width), vague.copy()
+    run_chunked(partial(_alone_range, near, vague, sigma, alone), len(near.key))
     cells = sort_into_cells(points[rows], width)
-    around, all_ = np.empty((len(rows), 4)), np.ones(len(rows), dtype=bool)
-    asked = _Asked(cells, doubtful, all_, own, sigma, apart, points[rows] - cells.corner, around)
-    run_chunked(partial(_measure_range, asked), len(cells.key))
+    rows, doubtful, sigma = rows[cells.order], alone[cells.order], sigma[cells.order]  # all in this order from here on
+    places, around = cured.points[rows], np.empty((len(rows), 4))
     for thin in (False, True):
         moved, told = np.zeros(len(rows), dtype=bool), places - cells.corner
         if thin:
             told[doubtful] = around[doubtful, 1:]
-        asked = asked._replace(shows=all_ if thin else ~doubtful, told=told)
+        asked = _Asked(cells, doubtful, part[rows], sigma, apart, told, around, thin)
         run_chunked(partial(_explain_range, asked, places, moved), len(cells.key))
         doubtful &= ~moved
     cured.points[rows] = places
@@ -82,117 +79,107 @@ def return_explained(
 @njit(cache=True, nogil=True)
 def _alone_range(told: Cells, vague: BoolArray, sigma: FloatArray, alone: BoolArray, begin: int, end: int) -> None:
     """Add which points have less around than a corner of a surface shows, of the least that shows one."""
-    beside, at = np.empty(28, np.int64), begin_sweep(told, begin)
+    runs, at = np.empty((10, 2), np.int64), begin_sweep(told, begin)
     for c in range(begin, end):
-        beside[0], count = c, 0
+        runs[9, 0], runs[9, 1], count = told.begin[c], told.begin[c + 1], 0
         for i in range(told.begin[c], told.begin[c + 1]):
             if alone[told.order[i]]:
                 continue
-            seen = _shown_in(told, beside[:1], vague, i, sigma)
+            seen = _shown_in(told, runs[9:], vague, i, sigma)
             if seen < _CORNER:
                 if count == 0:
-                    count = cells_within(told, c, 1, at, beside[1:])
-                seen = _shown_in(told, beside[1 : count + 1], vague, i, sigma)
+                    count = runs_within(told, c, 1, at, runs[:9])
+                seen = _shown_in(told, runs[:count], vague, i, sigma)
             alone[told.order[i]] = seen < _CORNER
 
 
 @lean()
-def _shown_in(told: Cells, beside: IntArray, vague: BoolArray, i: int, sigma: FloatArray) -> float:
-    """Sum of exp(−r² / 2 σ²) over the points of some cells that are not vague, until it is `_CORNER`."""
+def _shown_in(told: Cells, runs: IntArray, vague: BoolArray, i: int, sigma: FloatArray) -> float:
+    """Sum of exp(−r² / 2 σ²) over the points of some runs that are not vague, until it is `_CORNER`."""
     (x, y, z), scale, seen = told.places[i], -0.5 / sigma[told.order[i]] ** 2, 0.0
-    for j in beside:
-        for k in range(told.begin[j], told.begin[j + 1]):
+    for run in runs:
+        for k in range(run[0], run[1]):
             if k != i and not vague[told.order[k]]:
                 p = told.places[k]
                 seen += exp(scale * ((p[0] - x) ** 2 + (p[1] - y) ** 2 + (p[2] - z) ** 2))
-        if seen >= _CORNER:
-            break
+                if seen >= _CORNER:
+                    return seen
     return seen
 
 
 class _Asked(NamedTuple):
-    """What is asked about.
+    """What is asked about, all in the order of the cells.
 
     Attributes:
         cells: Of the points as they were measured.
         doubtful: Those that are asked about, shape (n,).
-        shows: Those that show where something is, shape (n,).
         own: Those of which the doubtful are asked about, shape (n,).
         sigma: Noise of each point [m], shape (n,).
         apart: Standard deviations off a surface of their own, within which they stay [-].
         told: Where the points are now, from the cells' corner [m], shape (n, 3).
         around: What was measured around them, and its mean, shape (n, 4); of the doubtful.
+        thin: Whether all points show where something is, and not only those that are not doubtful.
     """
 
     cells: Cells
     doubtful: BoolArray
-    shows: BoolArray
     own: BoolArray
     sigma: FloatArray
     apart: float
     told: FloatArray
     around: FloatArray
+    thin: bool
 
 
 class _Room(NamedTuple):
     """The points about a cell, once for all those of it that are asked about.
 
     Attributes:
-        places: Where they are told to be, from the cells' corner [m], shape (3, k).
+        x: Where they are told to be, from the cells' corner [m], shape (k,).
+        y: The same.
+        z: The same.
         rows: Which they are, shape (k,).
     """
 
-    places: FloatArray
+    x: FloatArray
+    y: FloatArray
+    z: FloatArray
     rows: IntArray
 
 
 @njit(cache=True, nogil=True)
-def _look(asked: _Asked, c: int, at: IntArray, beside: IntArray, room: _Room) -> tuple[_Room, int]:
-    """Write the points about cell c that show where something is into the room, or a larger one; how many."""
-    cells, count, found = asked.cells, 0, 0
-    near = beside[: cells_within(cells, c, _RINGS, at, beside)]
-    for j in near:
-        count += cells.begin[j + 1] - cells.begin[j]
-    if count > len(room.rows):
-        room = _Room(np.empty((3, 2 * count)), np.empty(2 * count, np.int64))
-    for j in near:
-        for k in range(cells.begin[j], cells.begin[j + 1]):
-            row = cells.order[k]
-            if asked.shows[row]:
-                for a in range(3):
-                    room.places[a, found] = asked.told[row, a]
-                room.rows[found] = row
-                found += 1
-    return room, found
+def _make_room(count: int) -> _Room:
+    return _Room(np.empty(count), np.empty(count), np.empty(count), np.empty(count, np.int64))
 
 
 @njit(cache=True, nogil=True)
-def _measure_range(asked: _Asked, begin: int, end: int) -> None:
-    """Write how much was measured around each doubtful point, and its mean: half-way to what is thinner than the noise.
+def _enough(room: _Room, runs: IntArray) -> _Room:
+    """The room, or a larger one: for all points of the runs."""
+    count = 0
+    for run in runs:
+        count += run[1] - run[0]
+    return room if count <= len(room.rows) else _make_room(2 * count)
 
-    For a density p of what was measured the source of a point is expected at x + σ² ∇ log p (Tweedie, 1956; Efron,
-    2011). With p smoothed by σ itself, which makes it wider and the step shorter, that is this mean.
-    """
-    cells, doubtful, around = asked.cells, asked.doubtful, asked.around
-    beside, at = np.empty((2 * _RINGS + 1) ** 3, np.int64), begin_sweep(cells, begin, _RINGS)
-    room = _Room(np.empty((3, 0)), np.empty(0, np.int64))
-    for c in range(begin, end):
-        if not holds_any(cells, c, doubtful):
-            continue
-        room, count = _look(asked, c, at, beside, room)
-        for i in range(cells.begin[c], cells.begin[c + 1]):
-            row = cells.order[i]
-            if doubtful[row]:
-                _measure(room.places[:, :count], cells.places[i], 0.5 / asked.sigma[row] ** 2, around[row])
+
+@njit(cache=True, nogil=True)
+def _look(places: FloatArray, hidden: BoolArray, runs: IntArray, room: _Room) -> _Room:
+    """Write those of the `places`, (n, 3), in the runs that are not hidden into the room; the part that they take."""
+    found = 0
+    for run in runs:
+        for i in range(run[0], run[1]):
+            room.x[found], room.y[found], room.z[found] = places[i, 0], places[i, 1], places[i, 2]
+            room.rows[found] = i
+            found += not hidden[i]
+    return _Room(room.x[:found], room.y[:found], room.z[:found], room.rows[:found])
 
 
 @lean(fastmath=VECTORS)
-def _measure(places: FloatArray, x: FloatArray, rate: float, around: FloatArray) -> None:
-    """Write Σ exp(−r² / 2 σ²) over `places`, (3, k), without x itself, and their mean, shape (4,)."""
+def _measure(shown: _Room, x: FloatArray, rate: float, around: FloatArray) -> None:
+    """Write Σ exp(−r² / 2 σ²) over what is shown, without x itself, and their mean, shape (4,)."""
     x0, x1, x2 = x[0], x[1], x[2]
     total, m0, m1, m2 = 0.0, 0.0, 0.0, 0.0
-    for k in range(places.shape[1]):
-        a, b, c = places[0, k] - x0, places[1, k] - x1, places[2, k] - x2
+    for k in range(len(shown.x)):
+        a, b, c = shown.x[k] - x0, shown.y[k] - x1, shown.z[k] - x2
         t = (a * a + b * b + c * c) * rate
         third = decay(lesser(t, _STEEPEST) / 12.0) ** 4
         weight = third**3 if t <= _STEEPEST else 0.0
@@ -206,36 +193,46 @@ def _measure(places: FloatArray, x: FloatArray, rate: float, around: FloatArray)
 
 @njit(cache=True, nogil=True)
 def _explain_range(asked: _Asked, places: FloatArray, moved: BoolArray, begin: int, end: int) -> None:
-    cells, doubtful, mean = asked.cells, asked.doubtful, np.empty(3)
-    beside, at = np.empty((2 * _RINGS + 1) ** 3, np.int64), begin_sweep(cells, begin, _RINGS)
-    room = _Room(np.empty((3, 0)), np.empty(0, np.int64))
+    """Move what is explained; before, write how much was measured around each doubtful point, and its mean.
+
+    That is half-way to what is thinner than the noise. For a density p of what was measured the source of a point is
+    expected at x + σ² ∇ log p (Tweedie, 1956; Efron, 2011). With p smoothed by σ itself, which makes it wider and the
+    step shorter, that is this mean.
+    """
+    (cells, doubtful), none, room, mean = asked[:2], np.zeros_like(asked.doubtful), _make_room(0), np.empty(3)
+    runs, at = np.empty(((2 * _RINGS + 1) ** 2, 2), np.int64), begin_sweep(cells, begin, _RINGS)
     for c in range(begin, end):
-        if not holds_any(cells, c, doubtful):
+        first, last = cells.begin[c], cells.begin[c + 1]
+        if not doubtful[first:last].any():
             continue
-        room, count = _look(asked, c, at, beside, room)
-        shown = _Room(room.places[:, :count], room.rows[:count])
-        for i in range(cells.begin[c], cells.begin[c + 1]):
-            row = cells.order[i]
-            if doubtful[row] and asked.own[row] and _is_explained(asked, shown, i, mean):
-                moved[row] = True
+        around = runs[: runs_within(cells, c, _RINGS, at, runs)]
+        room = _enough(room, around)
+        if not asked.thin:
+            measured = _look(cells.places, none, around, room)
+            for i in range(first, last):
+                if doubtful[i]:
+                    _measure(measured, cells.places[i], 0.5 / asked.sigma[i] ** 2, asked.around[i])
+        shown = _look(asked.told, none if asked.thin else doubtful, around, room)
+        for i in range(first, last):
+            if doubtful[i] and asked.own[i] and _is_explained(asked, shown, i, mean):
+                moved[i] = True
                 for k in range(3):
-                    places[row, k] = mean[k] + cells.corner[k]
+                    places[i, k] = mean[k] + cells.corner[k]
 
 
 @lean(fastmath=VECTORS)
 def _is_explained(asked: _Asked, shown: _Room, i: int, mean: FloatArray) -> bool:
     """Whether the surfaces explain what is at place i; writes where on them it is expected to be from."""
-    row, (places, rows), (x0, x1, x2) = asked.cells.order[i], shown, asked.cells.places[i]
-    sigma = asked.sigma[row]
-    rate = 0.5 / sigma**2
+    x0, x1, x2 = asked.cells.places[i]
+    rate = 0.5 / asked.sigma[i] ** 2
     if asked.apart > 0.0 and _stays(asked, shown, i):
         return False
     expected, variance, skew, total, least = 0.0, 0.0, 0.0, 0.0, np.inf
     m0, m1, m2 = 0.0, 0.0, 0.0
-    for k in range(len(rows)):
-        a, b, c = places[0, k] - x0, places[1, k] - x1, places[2, k] - x2
+    for k in range(len(shown.rows)):
+        a, b, c = shown.x[k] - x0, shown.y[k] - x1, shown.z[k] - x2
         t = (a * a + b * b + c * c) * rate
-        t = t if rows[k] != row else 2.0 * _STEEPEST
+        t = t if shown.rows[k] != i else 2.0 * _STEEPEST
         least = lesser(t, least)
         twelfth = decay(lesser(t, _STEEPEST) / 12.0)
         twelfth = twelfth if t <= _STEEPEST else 0.0
@@ -250,7 +247,7 @@ def _is_explained(asked: _Asked, shown: _Room, i: int, mean: FloatArray) -> bool
         m2 += weight * c
     if least > _STEEPEST or total < _SEEN * exp(-least):
         return False
-    if asked.around[row, 0] > expected + _by_chance(variance, skew):
+    if asked.around[i, 0] > expected + _by_chance(variance, skew):
         return False
     mean[0], mean[1], mean[2] = x0 + m0 / total, x1 + m1 / total, x2 + m2 / total
     return True
@@ -259,16 +256,16 @@ def _is_explained(asked: _Asked, shown: _Room, i: int, mean: FloatArray) -> bool
 @lean()
 def _stays(asked: _Asked, shown: _Room, i: int) -> bool:
     """Whether nothing is shown around place i, or it was measured and is near to what is nearest, of its own part."""
-    row, (places, rows), (x0, x1, x2) = asked.cells.order[i], shown, asked.cells.places[i]
+    x0, x1, x2 = asked.cells.places[i]
     least, nearest = np.inf, -1
-    for k in range(len(rows)):
-        off = (places[0, k] - x0) ** 2 + (places[1, k] - x1) ** 2 + (places[2, k] - x2) ** 2
-        if off < least and rows[k] != row:
-            least, nearest = off, rows[k]
+    for k in range(len(shown.rows)):
+        off = (shown.x[k] - x0) ** 2 + (shown.y[k] - x1) ** 2 + (shown.z[k] - x2) ** 2
+        if off < least and shown.rows[k] != i:
+            least, nearest = off, shown.rows[k]
     if nearest < 0:
         return True
-    near = max(least, _square_between(asked.told[row], asked.told[nearest]))
-    return bool(asked.own[nearest] and near < (asked.apart * asked.sigma[row]) ** 2)
+    near = max(least, _square_between(asked.told[i], asked.told[nearest]))
+    return bool(asked.own[nearest] and near < (asked.apart * asked.sigma[i]) ** 2)
 
 
 @lean()

@@ -21,6 +21,8 @@ from gpdf_service.types import FloatArray, IntArray
 
 KINDS = 4
 """Planes of one cell at most: three that meet in a corner, and a sheet beside them."""
+MOST = 400
+"""Points of a window that planes are fitted to, at most."""
 VOTES = AROUND * SHEETS
 VOTE = 9
 """Numbers of a vote: normal, height over the cell's middle, weight, the middle of its points from the cell's, and the
@@ -53,7 +55,8 @@ class Room(NamedTuple):
         known: Sums of what is known of each plane before points are looked at, shape (`KINDS`, 10).
         sums: The same with the points.
         vectors: Three places, shape (3, 3).
-        shares: What share each plane has of a point, shape (`KINDS`,).
+        about: Points about the cell, from its middle [m], shape (3, `MOST`).
+        shares: What share each plane has of them, and what all have, shape (`KINDS` + 1, `MOST`).
         slants: How each plane lies to each other one, shape (`KINDS`, `KINDS`, 2).
         number: How many points are of each plane, shape (`KINDS`,).
     """
@@ -65,6 +68,7 @@ class Room(NamedTuple):
     known: FloatArray
     sums: FloatArray
     vectors: FloatArray
+    about: FloatArray
     shares: FloatArray
     slants: FloatArray
     number: IntArray
@@ -74,8 +78,9 @@ class Room(NamedTuple):
 def make_room(votes: int) -> Room:
     """Room for so many votes."""
     planes = np.empty((KINDS, FOUND)), np.empty((KINDS, KINDS)), np.zeros((KINDS, 10)), np.empty((KINDS, 10))
-    own = np.empty((3, 3)), np.empty(KINDS), np.empty((KINDS, KINDS, 2)), np.empty(KINDS, np.int64)
-    return Room(np.empty((votes, VOTE)), np.empty(votes, np.int64), *planes, *own)
+    points = np.empty((3, 3)), np.empty((3, MOST)), np.empty((KINDS + 1, MOST))
+    slants, number = np.empty((KINDS, KINDS, 2)), np.empty(KINDS, np.int64)
+    return Room(np.empty((votes, VOTE)), np.empty(votes, np.int64), *planes, *points, slants, number)
 
 
 @lean()

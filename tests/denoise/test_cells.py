@@ -6,13 +6,16 @@ from scipy.spatial import cKDTree
 
 from gpdf_service.denoise.cells import (
     AROUND,
+    are_nearer,
     begin_sweep,
     cells_within,
     centre_of,
     look_around,
+    runs_within,
     sort_into_cells,
     sum_window,
 )
+from gpdf_service.fields.spacing import estimate_spacing
 
 
 def cloud(rng):
@@ -53,3 +56,22 @@ def test_cells_two_rings_off_are_those_whose_centres_are():
     beside, at = np.empty(125, np.int64), begin_sweep(cells, 0, 2)
     for c, around in enumerate(cKDTree(centres).query_ball_point(centres, 2.5 * cells.width, p=np.inf)):
         assert sorted(beside[: cells_within(cells, c, 2, at, beside)]) == sorted(around)
+
+
+def test_runs_hold_the_places_of_the_cells_within():
+    cells = sort_into_cells(cloud(np.random.default_rng(2)), 0.11)
+    beside, at = np.empty(125, np.int64), begin_sweep(cells, 0, 2)
+    runs, other = np.empty((25, 2), np.int64), begin_sweep(cells, 0, 2)
+    for c in range(len(cells.key)):
+        held = [range(*cells.begin[j : j + 2]) for j in beside[: cells_within(cells, c, 2, at, beside)]]
+        found = [range(*run) for run in runs[: runs_within(cells, c, 2, other, runs)]]
+        assert np.concatenate(found).tolist() == np.concatenate(held).tolist()
+
+
+@pytest.mark.parametrize("count", [2, 9, 300, 20_000])
+def test_cells_tell_the_spacing_from_a_larger_one(count):
+    points = np.random.default_rng(count).uniform(0, 1, (count, 3)) * [1.0, 1.0, 0.0]
+    spacing = estimate_spacing(points)
+    cells = sort_into_cells(points, 2.0 * spacing)
+    assert are_nearer(cells, 1.001 * spacing)
+    assert not are_nearer(cells, 0.999 * spacing)
