@@ -16,6 +16,7 @@ from gpdf_service.perception.bend import FINE, FLAT, bend_at, make_room, reach_o
 from gpdf_service.perception.boxes import Box, highest_around, lowest_around, widened, window
 from gpdf_service.perception.columns import by_cell
 from gpdf_service.perception.layers import widest_cell
+from gpdf_service.perception.nearest import nearest_of
 from gpdf_service.perception.nodes import count_labels
 from gpdf_service.perception.notches import fill_notches, notches_reach
 from gpdf_service.perception.rows import extent_within, under
@@ -58,7 +59,8 @@ MAX_HOLE_RADIUS = 1.0
 Material = tuple[BoolArray, BoolArray]
 """Cells with points that may be a thing's, and those of them where they lie at the ground's height; see `standing`."""
 Voids = tuple[NDArray[Any], ...]
-"""Where the scanner saw through a level's unknown cells, where they are pits, and a pit's walls; see `find_voids`."""
+"""Where the scanner saw through a level's unknown cells, where they are pits, its walls, and where one is seen under
+ground; see `find_voids`."""
 
 
 def fill_holes(
@@ -74,10 +76,10 @@ def fill_holes(
 
     A hole is a connected set of unknown cells bounded by known ground and things, shut off from the map's rim, with no
     place further than `MAX_HOLE_RADIUS` from seen ground, and with the ground around it on one plane within a cell's
-    slope or higher: an edge that drops is not bridged. Nor is a void, nor what lies under a thing: its legs and its
-    back nobody sees. But a single cell in a hole with points at the ground's height alone holds no thing: rays met the
-    floor there. A notch in a flight is filled with the treads beside it, and the gap between two treads with the lower
-    one.
+    slope or higher: an edge that drops is not bridged. Nor is a void, nor a hole as near to ground under which a pit's
+    bottom was seen: the rays may have gone through it. Nor what lies under a thing: its legs and its back nobody sees.
+    But a single cell in a hole with points at the ground's height alone holds no thing: rays met the floor there. A
+    notch in a flight is filled with the treads beside it, and the gap between two treads with the lower one.
     Nothing is filled where the samples of the ground are so far apart that cells had to be as wide as they may be: what
     is empty then is no chance, and what is around it explains nothing.
 
@@ -92,7 +94,7 @@ def fill_holes(
     """
     if surface.cell_width >= widest_cell(config):
         return surface
-    seen_through, pit, walls = voids
+    seen_through, pit, walls, hollow = voids
     height, state = _fill_gaps(grid, "gaps", surface.height, surface.state, surface, noise)
 
     def notched(
@@ -105,7 +107,7 @@ def fill_holes(
     height, state = grid.around("notches", notches_reach(surface, config), notched, *given)
     known = state != UNKNOWN
     close = near.distance <= MAX_HOLE_RADIUS
-    ends = seen_through | pit | _walled_down(surface, walls) | ~close
+    ends = seen_through | pit | _walled_down(surface, walls) | ~close | _near_hollow(surface, hollow)
     ends[[0, -1]] = ends[:, [0, -1]] = True
     held, at_floor = material
     height, state = _fill_planes(grid, ends, surface.cell_width, "open", (height, state), ~known & ~held, known)
@@ -135,7 +137,7 @@ def standing(
 def find_voids(
     seen: HeightMap, near: Nearest, treads: BoolArray, rim: FloatArray, cell: IntArray, z: FloatArray, max_step: float
 ) -> Voids:
-    """Unknown cells, and a flight's, whose highest other point lies over `max_step` under the ground.
+    """Cells under whose ground other points lie, by more than `max_step`: of an unknown one only the highest counts.
 
     Args:
         seen: The ground as it was seen.
@@ -148,20 +150,22 @@ def find_voids(
 
     Returns:
         Where the scanner saw through, further down than a floor is thick; where the bottom of a pit is seen, which is
-        no ceiling because no storey is under it; and where the upper end of a pit's walls is: a point right under the
-        ground of a rim, no floor.
+        no ceiling because no storey is under it; where the upper end of a pit's walls is: a point right under the
+        ground of a rim, no floor; and where such a bottom is seen under ground that is no flight's. In the first two
+        a known cell counts if it is a flight's.
     """
     distance, beside = near
     low, high = (under(rim - cells * seen.cell_width) for cells in (WALL_CELLS, 1.0))
     walls: BoolArray = np.isfinite(extent_within(cell, z, low, high)[0])
-    asked = (seen.state == UNKNOWN) & (distance <= MAX_HOLE_RADIUS)
-    high = np.where(asked, beside + np.float32(seen.cell_width), -np.inf)
-    high[treads] = beside[treads] - np.float32(max_step)
-    bottom, top = extent_within(cell, z, np.full(asked.shape, -np.inf), under(high))
+    unknown = seen.state == UNKNOWN
+    high = np.where(unknown, beside + np.float32(seen.cell_width), beside - np.float32(max_step))
+    high[distance > MAX_HOLE_RADIUS] = -np.inf
+    bottom, top = extent_within(cell, z, np.full(unknown.shape, -np.inf), under(high))
     shown = np.isfinite(top)
     depth = np.where(shown, beside - top, 0.0)
     pit = (depth > max_step) & (depth <= SLAB) & (np.where(shown, top - bottom, 0.0) < STOREY)
-    return depth > SLAB, pit, walls
+    asked = unknown | treads
+    return asked & (depth > SLAB), asked & pit, walls, pit & ~asked
 
 
 def find_rims(surface: HeightMap) -> NDArray[np.float32]:
@@ -174,6 +178,15 @@ def find_rims(surface: HeightMap) -> NDArray[np.float32]:
     rim = highest_around(np.where(unknown, -np.inf, surface.height), 1)
     floor = lowest_around(np.where(unknown, np.inf, rim), 2)
     return np.where(widened(unknown, 1), floor, -np.inf)
+
+
+def _near_hollow(surface: HeightMap, hollow: BoolArray) -> BoolArray:
+    """Unknown cells within `MAX_HOLE_RADIUS` of `hollow` ground; less of it than two cells by two is a stray's."""
+    firm: BoolArray = ndimage.binary_opening(hollow, np.ones((2, 2)))
+    if not firm.any():
+        return firm
+    near: BoolArray = (nearest_of(firm)[0] <= MAX_HOLE_RADIUS / surface.cell_width) & (surface.state == UNKNOWN)
+    return near
 
 
 def _walled_down(surface: HeightMap, walls: BoolArray) -> BoolArray:

@@ -585,8 +585,8 @@ def test_two_floors_that_a_gentle_stair_joins_are_two_levels():
     assert plan(scene, (3.0, 3.0, 2.8), (4.0, 3.0, 2.8)).status is Status.OK
 
 
-def car_park():
-    """Two decks 2.9 m apart, 25 cm thick, that a ramp joins, as scanners on each saw them, which are blind below."""
+def car_park(slab=0.25):
+    """Two decks 2.9 m apart, a `slab` thick, that a ramp joins, as scanners on each saw them, which are blind below."""
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0.0, 16.0, 0.05), np.arange(0.0, 6.0, 0.05)))
     deck, ramp = x < 8.0, (x >= 8.0) & (y < 3.0)
     blind = np.hypot(x - 4.0, y - 4.0) < 0.6
@@ -594,17 +594,31 @@ def car_park():
         (~(ramp & (x < 14.0)) & ~blind, 0.0 * x),
         (ramp & (x < 14.0), 2.9 * (14.0 - x) / 6.0),
         (deck & (np.hypot(x - 4.0, y - 1.5) > 0.6), 0.0 * x + 2.9),
-        (deck, 0.0 * x + 2.65),
+        (deck, 0.0 * x + 2.9 - slab),
     ]
     return np.concatenate([np.column_stack([x[seen], y[seen], z[seen]]) for seen, z in surfaces])
 
 
-def test_a_slab_seen_from_below_through_the_hole_in_the_scan_of_its_top_is_no_ground():
-    scene = build_scene(car_park())
+@pytest.mark.parametrize("slab", [0.25, 0.6])
+def test_a_slab_seen_from_below_through_the_hole_in_the_scan_of_its_top_is_no_ground(slab):
+    scene = build_scene(car_park(slab))
     heights = np.concatenate([surface.height_at(np.array([[4.0, 1.5]])) for surface in scene.surfaces])
-    assert np.nanmin(np.abs(heights - 2.65)) > 0.2
+    assert np.nanmin(np.abs(heights - 2.9 + slab)) > 0.2
     assert np.nanmin(np.abs(heights - 2.9)) < 0.01  # the slab is there: its top is inferred
     assert plan(scene, (4.0, 0.6, 2.9), (4.0, 2.4, 2.9)).status is Status.OK
+
+
+@pytest.mark.parametrize("deep", [0.0, 0.45, 0.9])
+@pytest.mark.parametrize("beyond", [0.0, 0.9])
+def test_where_a_tile_of_a_raised_floor_is_out_nobody_walks(deep, beyond):
+    """What is below was seen in a fifth of the opening or beyond it, and no wall of it: thin tiles stand on posts."""
+    x, y = (axis.ravel() for axis in np.meshgrid(*2 * [np.arange(0.0, 6.0, 0.03)]))
+    out = (np.abs(x - 3.0) < 0.45) & (np.abs(y - 3.0) < 0.45)
+    below = (np.abs(x - 3.0 - beyond) < 0.2) & (np.abs(y - 3.0) < 0.2)
+    floor, bottom = (np.column_stack([x, y, 0.0 * x - z])[seen] for seen, z in ((~out, 0.0), (below, deep)))
+    wall = np.column_stack([0.0 * x, x, y / 3.0])  # by it the floor is no ceiling
+    heights = build_scene(np.concatenate([floor, bottom, wall])).surfaces[0].height_at(np.column_stack([x, y])[out])
+    assert (np.isnan(heights).mean() > 0.9) == (deep > 0.0)
 
 
 def test_a_hole_in_the_scan_of_a_floor_below_another_that_a_ramp_joins_is_filled():

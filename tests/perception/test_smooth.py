@@ -130,7 +130,7 @@ def test_a_platform_that_a_human_takes_is_one_at_5_cm_of_noise(seed):
 
 def fill_gaps(height, noise=0.0):
     nothing = np.zeros(height.shape, dtype=bool)
-    seen, nowhere = ground(height), (nothing, nothing, nothing)
+    seen, nowhere = ground(height), (nothing,) * 4
     grid, near = new_grid(height.shape), nearest_seen(seen)
     return fill_holes(seen, grid, near, (nothing, nothing), nowhere, PerceptionConfig(), noise).height
 

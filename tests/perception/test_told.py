@@ -20,15 +20,16 @@ def place(rng):
     for _ in range(150):
         (i, j), (u, v) = rng.integers(0, CELLS), rng.integers(1, 16, 2)
         height[i : i + u, j : j + v] = np.nan
-    material, through, pit, walls = (
-        np.zeros(CELLS, dtype=bool),
-        *(rng.random(CELLS) < share for share in (0.001, 0.001, 0.002)),
-    )
+    material, hollow = np.zeros((2, *CELLS), dtype=bool)
+    through, pit, walls = (rng.random(CELLS) < share for share in (0.001, 0.001, 0.002))
     for _ in range(60):
         (i, j), (u, v) = rng.integers(0, CELLS), rng.integers(2, 12, 2)
         material[i : i + u, j : j + v] = True
+    for _ in range(3):
+        (i, j), (u, v) = rng.integers(0, CELLS), rng.integers(1, 6, 2)
+        hollow[i : i + u, j : j + v] = True
     at_floor = material & (rng.random(CELLS) < 0.1)
-    return height.astype(np.float32), material, at_floor, through, pit, walls
+    return height.astype(np.float32), material, at_floor, through, pit, walls, hollow
 
 
 def fill(grid, height, *others):
