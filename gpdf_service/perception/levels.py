@@ -432,7 +432,7 @@ def _find_others(site: _Site, sheet: BoolArray, seen: HeightMap, near: Nearest, 
     low, high, treads, rim = grid.around("span", reach, answer, seen.height, seen.state)
     beside = np.where(near.distance <= MAX_HOLE_RADIUS, near.height, np.float32(np.nan))
     given = grid.known["seen"].given[0], seen.height, low, high, treads, rim, beside
-    around = overhead_reach(width)
+    around = overhead_reach(width, site.config)
     cells = grid.felt("voids", around, *given, points=True)
     rows, points = site.cloud.part(seen, widened(cells, around))
     cell, stray, ground, out = cells_within(points, seen), site.stray[rows], site.ground[rows], seen.state.size

@@ -10,13 +10,12 @@ from gpdf_service.perception.boxes import lowest_around, widened
 from gpdf_service.perception.footing import rings_of
 from gpdf_service.perception.ledges import LEAST_OBSTACLE
 from gpdf_service.perception.rows import between, extent_within, under
-from gpdf_service.perception.strides import SOLE
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 
-def overhead_reach(width: float) -> int:
+def overhead_reach(width: float, config: PerceptionConfig) -> int:
     """Cells of that `width` [m] within which points and ground decide on `unseen_beneath`."""
-    return 2 * rings_of(SOLE, width)
+    return 2 * rings_of(config.widest_gap, width)
 
 
 def unseen_beneath(
@@ -25,8 +24,8 @@ def unseen_beneath(
     """Which points are ground over head under which nobody saw an underside, shape (n,): it may be a step thick.
 
     A flight is as deep under a tread as its riser and its waist, a floor as its slab: no more than `max_step`. An
-    underside, or the face of a rim, is a point within that under the lowest tread around, within a `SOLE`. Over head is
-    what leaves the lowest body room even so.
+    underside, or the face of a rim, is a point within that under the lowest tread around; it is known, as ground is, as
+    far as `widest_gap`. Over head is what leaves the lowest body room even so.
 
     Args:
         cell: Flat cell of each point; the one after the last one is of none.
@@ -36,7 +35,7 @@ def unseen_beneath(
         width: Of the cells [m].
         config: Limits.
     """
-    rings, none = rings_of(SOLE, width), np.full(floor.shape, np.inf)
+    rings, none = rings_of(config.widest_gap, width), np.full(floor.shape, np.inf)
     over = np.where(np.isnan(floor), np.inf, floor.astype(np.float64) + config.max_step + config.min_headroom)
     own = np.where(ground, cell, cell.dtype.type(over.size))
     low = extent_within(own, z, over, none)[0]
