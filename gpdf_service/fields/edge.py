@@ -68,12 +68,14 @@ def _by_turns(near: FloatArray, count: int, side: IntArray, pair: FloatArray) ->
             pair[k, 0:3], pair[k, 6] = mean, moments[k, 0]
         if not meet(pair):
             return np.inf
-        left, changed = 0.0, 0
+        left, changed, level = 0.0, 0, is_more_level(pair, 1)
+        first, second = _inwards(pair, 0), _inwards(pair, 1)
         for i in range(count):
-            nearest = nearest_half(pair, near[i])
+            one, other = _from_half(pair, 0, first, near[i]), _from_half(pair, 1, second, near[i])
+            nearest = _nearer(one, other, level)
             changed += nearest != side[i]
             side[i] = nearest
-            left += from_half(pair, nearest, near[i])
+            left += other if nearest else one
         if changed == 0:
             break
     return left
@@ -108,22 +110,26 @@ def meet(pair: FloatArray) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def beside(pair: FloatArray, k: int, x: FloatArray) -> float:
-    """How far x is from the line on the side of half plane k, along it [m]; negative beyond its end."""
-    u, n = pair[2, 3:6], pair[k, 3:6]
-    s = (x[0] - pair[2, 0]) * (u[1] * n[2] - u[2] * n[1])
-    s += (x[1] - pair[2, 1]) * (u[2] * n[0] - u[0] * n[2])
-    s += (x[2] - pair[2, 2]) * (u[0] * n[1] - u[1] * n[0])
-    return float(s * pair[k, 8])
+def _inwards(pair: FloatArray, k: int) -> tuple[float, float, float]:
+    """The way along half plane k, across the line."""
+    u, n, sign = pair[2, 3:6], pair[k, 3:6], pair[k, 8]
+    return (u[1] * n[2] - u[2] * n[1]) * sign, (u[2] * n[0] - u[0] * n[2]) * sign, (u[0] * n[1] - u[1] * n[0]) * sign
 
 
 @njit(cache=True, nogil=True)
-def from_half(pair: FloatArray, k: int, x: FloatArray) -> float:
+def beside(pair: FloatArray, k: int, x: FloatArray) -> float:
+    """How far x is from the line on the side of half plane k, along it [m]; negative beyond its end."""
+    a, b, c = _inwards(pair, k)
+    return float((x[0] - pair[2, 0]) * a + (x[1] - pair[2, 1]) * b + (x[2] - pair[2, 2]) * c)
+
+
+@njit(cache=True, nogil=True)
+def _from_half(pair: FloatArray, k: int, inwards: tuple[float, float, float], x: FloatArray) -> float:
     """Squared distance of x from half plane k [m²]."""
-    n = pair[k, 3:6]
-    a = n[0] * (x[0] - pair[k, 0]) + n[1] * (x[1] - pair[k, 1]) + n[2] * (x[2] - pair[k, 2])
-    s = min(beside(pair, k, x), 0.0)
-    return float(a * a + s * s)
+    (a, b, c), n = inwards, pair[k, 3:6]
+    off = n[0] * (x[0] - pair[k, 0]) + n[1] * (x[1] - pair[k, 1]) + n[2] * (x[2] - pair[k, 2])
+    s = min((x[0] - pair[2, 0]) * a + (x[1] - pair[2, 1]) * b + (x[2] - pair[2, 2]) * c, 0.0)
+    return float(off * off + s * s)
 
 
 @njit(cache=True, nogil=True)
@@ -137,5 +143,12 @@ def is_more_level(pair: FloatArray, k: int) -> bool:
 @njit(cache=True, nogil=True)
 def nearest_half(pair: FloatArray, x: FloatArray) -> int:
     """The half plane that is nearer to x; on the line where they meet the more level one."""
-    more = from_half(pair, 1, x) - from_half(pair, 0, x)
-    return int(more < -(_EQUAL**2) or (more <= _EQUAL**2 and is_more_level(pair, 1)))
+    one, other = _from_half(pair, 0, _inwards(pair, 0), x), _from_half(pair, 1, _inwards(pair, 1), x)
+    return _nearer(one, other, is_more_level(pair, 1))
+
+
+@njit(cache=True, nogil=True)
+def _nearer(one: float, other: float, level: bool) -> int:
+    """Which of two squared distances is less; of equal ones the second, if that is the more level one."""
+    more = other - one
+    return int(more < -(_EQUAL**2) or (more <= _EQUAL**2 and level))
