@@ -5,7 +5,7 @@ import pytest
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.holes import fill_holes
-from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap, nearest_seen
+from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, nearest_seen
 from gpdf_service.perception.told import boxes_of, grown, new_grid
 
 CELLS, WIDTH = (260, 240), 0.06
@@ -57,6 +57,20 @@ def test_a_change_fills_holes_notches_and_gaps_as_a_build_does(seed):
         for name, reach in (("notches", 55), ("open", 2), ("gaps", 8)):
             assert 0 < grid.felt(name, reach, *grid.known[name].given).mean() < 0.5
         before, was = now, ours
+
+
+def test_a_hole_is_filled_as_before_where_changes_on_all_sides_do_not_touch_it():
+    """Then a box that holds what changed holds the whole map, and most of that is not asked."""
+    height, none = np.full(CELLS, np.nan, np.float32), np.zeros((6, *CELLS), dtype=bool)
+    height[4:-4, 4:-4] = 0.0
+    height[100:110, 100:110] = np.nan
+    grid, others = new_grid(CELLS), np.zeros(CELLS, dtype=bool)
+    fill(grid, height, *none)
+    others[4:8, 4:8] = others[-8:-4, -8:-4] = True
+    height = np.where(others, np.float32(np.nan), height)
+    ours, theirs = fill(grid.lasting().now(others), height, *none), fill(new_grid(CELLS), height, *none)
+    np.testing.assert_array_equal(ours.state, theirs.state)
+    assert (ours.state[100:110, 100:110] == INFERRED).all()
 
 
 def test_boxes_hold_all_cells_and_one_is_taken_where_several_would_overlap_more():
