@@ -1,6 +1,8 @@
 import json
 import subprocess
 import sys
+import time
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -21,6 +23,22 @@ def test_what_was_warmed_once_is_not_compiled_again(capsys):
     heaps, later = found.stdout.splitlines()
     assert {"pairs_unlike", "pairs_over_gaps", "whole_around", "ends_at", "grown_sheet"} <= set(heaps.split())
     assert later == "later:"
+
+
+@pytest.mark.slow
+def test_a_warming_that_is_killed_takes_its_processes_with_it():
+    words = [sys.executable, "-m", "gpdf_service.cli", "warm"]
+    with subprocess.Popen(words, stderr=subprocess.DEVNULL) as warming:
+        children, began = Path(f"/proc/{warming.pid}/task/{warming.pid}/children"), []
+        while len(began) < 2:  # one process at the least, beside that which tracks what they share
+            assert warming.poll() is None
+            time.sleep(0.05)
+            began = children.read_text().split()
+        warming.kill()
+    deadline = time.monotonic() + 60.0
+    while any(Path(f"/proc/{one}").exists() for one in began) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not [one for one in began if Path(f"/proc/{one}").exists()]
 
 
 @pytest.mark.slow

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor, wait
@@ -16,7 +15,8 @@ from tempfile import TemporaryDirectory
 from numba.core.event import Event, Listener, register
 from tqdm import tqdm
 
-from gpdf_service.cli.work import size_of_terminal
+from gpdf_service.cli.work import end_with_parent, size_of_terminal
+from gpdf_service.cores import worker_count
 
 BLINK = 0.1
 """[s] Between two looks at how many kernels there are."""
@@ -46,6 +46,7 @@ def _begin(folder: Path, compiled: Synchronized[int]) -> None:
     """What each process does first."""
     from gpdf_service.kernel_cache import compile_in_turn
 
+    end_with_parent()
     compile_in_turn(folder)
     register("numba:compile", _Counter(compiled))  # type: ignore[no-untyped-call]
 
@@ -65,10 +66,10 @@ def run(args: argparse.Namespace) -> int:
     from gpdf_service.warm import Warming
 
     began, context = time.monotonic(), get_context("spawn")
-    compiled, cores = context.Value("i", 0), len(os.sched_getaffinity(0))
+    compiled = context.Value("i", 0)
     with (
         TemporaryDirectory() as folder,
-        ProcessPoolExecutor(cores, context, _begin, (Path(folder), compiled)) as pool,
+        ProcessPoolExecutor(worker_count(), context, _begin, (Path(folder), compiled)) as pool,
         tqdm(
             total=len(list(kernels())),
             desc="kernels",

@@ -138,7 +138,7 @@ class Grid:
         was = self.former[name].made if name in self.former else ()
         made, differ = list(was), [list[tuple[Box, BoolArray]]() for _ in was]
         for box, found in parts:
-            if felt[box].size == np.count_nonzero(felt) == felt.size:
+            if felt[box].size == felt.size and felt.all():
                 made, was = list(found), ()
                 break
             made = made or [np.empty(felt.shape, each.dtype) for each in found]
