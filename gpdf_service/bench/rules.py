@@ -110,7 +110,7 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "walls of pits": (_P + "holes", "_walled_down", lambda surface, _: np.zeros(surface.state.shape, dtype=bool)),
     "slanted faces are steps": (_P + "limits", "_slanted", lambda _, slope: np.full(slope.shape, np.inf)),
     "narrow treads": (_P + "limits", "_is_narrow_tread", lambda height, *_: np.zeros(height.shape, dtype=bool)),
-    "ridges of flights": (_P + "levels", "ridges", lambda surface, _: np.zeros(surface.state.shape, dtype=bool)),
+    "ridges of flights": (_P + "levels", "ridges", lambda surface, *_: np.zeros(surface.state.shape, dtype=bool)),
     "faces of steps": (_P + "obstacles", "_is_face", _false(1)),
     "worn treads": (_P + "obstacles", "on_treads", _false(0)),
     "headroom from the foot's tread": (_P + "obstacles", "_over_head", lambda points, *_: np.ones(len(points), bool)),

@@ -22,6 +22,8 @@ FLIGHT_RISE = _LIMITS.max_step
 """[m] Ground that differs by more within a stride is a flight."""
 ROUGH = 0.075
 """[m] What is no higher over a tread is of it: half of what a surface in a wide cell is thick at most."""
+_DROP = np.float32(-1e6)
+"""[m] Height of what lies lower than all ground."""
 
 
 def bridged(surface: HeightMap, max_step: float) -> HeightMap:
@@ -51,57 +53,109 @@ def footholds(surface: HeightMap, max_step: float) -> FloatArray:
     return _without_ridges(surface, flight).astype(np.float64)
 
 
-def ridges(surface: HeightMap, max_step: float) -> BoolArray:
+def ridges(surface: HeightMap, max_step: float, pits: NDArray[np.float32], drops: BoolArray) -> BoolArray:
     """Cells of flights that are over their `footholds`, shape (nx, ny), and as many in one piece as a tread is deep.
 
-    They are stringers, and tips of treads at a free side; a single cell is a smear of what stands beside.
+    They are stringers, and tips of treads at a free side; a single cell is a smear of what stands beside. Beside a
+    stringer, the gap between two flights is no foothold, however narrow, nor is that through which a room beneath was
+    seen.
+
+    Args:
+        surface: The ground.
+        max_step: As for `bridged`.
+        pits: Height of the ground before it was `bridged` [m], shape (nx, ny), NaN where it was not seen.
+        drops: Unknown cells under which something was seen deeper than a step, shape (nx, ny).
     """
-    over = surface.height > footholds(surface, max_step)  # NaN, where it is unknown, compares false
+    beside = np.where(drops & (surface.state == UNKNOWN), _DROP, pits)
+    flight = widened(flights(surface, max_step), rings_of(STRIDE, surface.cell_width))
+    over = surface.height > _without_ridges(surface, flight)  # NaN, where it is unknown, compares false
+    over |= surface.height > _without_ridges(surface, flight, beside)
     piece, count = ndimage.label(over, np.ones((3, 3)))
     long = np.bincount(piece.ravel(), minlength=count + 1) * surface.cell_width >= _LIMITS.tread_depth - 1e-6
     found: BoolArray = over & long[piece]
     return found
 
 
-def _without_ridges(surface: HeightMap, flight: BoolArray) -> NDArray[np.float32]:
+def _without_ridges(
+    surface: HeightMap, flight: BoolArray, beside: NDArray[np.float32] | None = None
+) -> NDArray[np.float32]:
     """The ground [m], -inf where unknown; that of a `flight`, (nx, ny), without what is narrower than a foot, (nx, ny).
 
     A ridge is narrower than `SOLE` in some direction, and over all that is to either side within a foot's length by
-    more than a tread is rough. A nose is none, whatever dip or shadow is behind it: the tread goes on there.
+    more than a tread is rough. What is more than a step higher is no side of it, but another flight's. A nose is none,
+    whatever dip or shadow is behind it: the tread goes on there. So where heights `beside` it are given [m], which
+    show the room behind a shadow, too, the way up is along the ridge.
     """
     made = np.where(surface.state != UNKNOWN, surface.height, np.float32(-np.inf))
     cells = np.flatnonzero(flight & np.isfinite(made))
-    run_chunked(lambda a, b: _lower_ridges(surface.arrays, cells[a:b], made), len(cells))
+    own = surface.arrays, surface.height if beside is None else beside, beside is not None
+    run_chunked(lambda a, b: _lower_ridges(*own, cells[a:b], made), len(cells))
     return made
 
 
 @njit(cache=True, nogil=True)
-def _lower_ridges(ground: Cells, cells: IntArray, made: NDArray[np.float32]) -> None:
-    height = ground.height
+def _lower_ridges(
+    ground: Cells, beside: NDArray[np.float32], along: bool, cells: IntArray, made: NDArray[np.float32]
+) -> None:
     for cell in cells:
-        x, y = cell // height.shape[1], cell % height.shape[1]
+        x, y = cell // beside.shape[1], cell % beside.shape[1]
+        own = ground.height[x, y]
+        low, high = own - np.float32(ROUGH), own + np.float32(FLIGHT_RISE)
         for dx, dy in HALF:
             sole = SOLE / (ground.width * np.hypot(dx, dy))
             widest, foot = max(1, round(sole)), max(1, round(2.0 * sole))
             for ahead in range(1, widest + 1):
-                side = _highest_along(height, (x, y), (dx, dy), ahead, foot)
-                if side >= height[x, y] - ROUGH:
+                side = _highest_along(beside, (x, y), (dx, dy), (ahead, foot), high)
+                if side >= low:
                     continue
                 for behind in range(1, widest + 2 - ahead):
-                    other = _highest_along(height, (x, y), (-dx, -dy), behind, foot)
-                    if other < height[x, y] - ROUGH:
+                    other = _highest_along(beside, (x, y), (-dx, -dy), (behind, foot), high)
+                    if other < low and (not along or _falls_aside(beside, ground, (x, y))):
                         made[x, y] = min(made[x, y], max(side, other))
 
 
 @njit(cache=True, nogil=True)
+def _falls_aside(height: NDArray[np.float32], ground: Cells, at: tuple[int, int]) -> bool:
+    """Whether the ground falls off beside a flight, and not behind a tread: less than 45° across its way up.
+
+    It falls off towards the middle of what lies more than a step lower within a foot's length. The way up is that of
+    the plane through the treads on the other side, but for what is narrower than a foot.
+    """
+    reach, (x, y), own = rings_of(STRIDE, ground.width), at, ground.height[at]
+    rows, columns = 0.0, 0.0
+    for u in range(max(x - reach, 0), min(x + reach + 1, height.shape[0])):
+        for v in range(max(y - reach, 0), min(y + reach + 1, height.shape[1])):
+            if height[u, v] < own - FLIGHT_RISE and np.hypot(u - x, v - y) * ground.width <= 2.0 * SOLE:
+                rows, columns = rows + u - x, columns + v - y
+    away = max(np.hypot(rows, columns), 1e-9)
+    rows, columns = rows / away, columns / away
+    count, place, total, square = 0, np.zeros(3), np.zeros(3), np.zeros((3, 3))
+    for u in range(max(x - reach, 0), min(x + reach + 1, height.shape[0])):
+        for v in range(max(y - reach, 0), min(y + reach + 1, height.shape[1])):
+            inside = -(rows * (u - x) + columns * (v - y)) * ground.width
+            if inside > 0.5 * SOLE and abs(height[u, v] - own) <= FLIGHT_RISE:
+                place[0], place[1], place[2] = u - x, v - y, height[u, v] - own
+                for k in range(3):
+                    total[k] += place[k]
+                    square[k] += place[k] * place
+                count += 1
+    spread = square - total * total.reshape(3, 1) / max(count, 1)
+    up = spread[1, 1] * spread[0, 2] - spread[0, 1] * spread[1, 2]
+    aside = spread[0, 0] * spread[1, 2] - spread[0, 1] * spread[0, 2]
+    across: float = up * rows + aside * columns
+    found: bool = across * across < 0.5 * (up * up + aside * aside)
+    return found
+
+
+@njit(cache=True, nogil=True)
 def _highest_along(
-    height: NDArray[np.float32], at: tuple[int, int], by: tuple[int, int], first: int, count: int
+    height: NDArray[np.float32], at: tuple[int, int], by: tuple[int, int], cells: tuple[int, int], most: float
 ) -> float:
-    """Highest ground in so many cells in a line from the `first` on, inf where none is known."""
-    found = -np.inf
+    """Highest ground up to `most` in a line, from the first of the `cells` on so many, inf where none is known."""
+    found, (first, count) = -np.inf, cells
     for k in range(first, first + count):
         u, v = at[0] + k * by[0], at[1] + k * by[1]
-        if 0 <= u < height.shape[0] and 0 <= v < height.shape[1] and height[u, v] > found:  # a NaN compares false
+        if 0 <= u < height.shape[0] and 0 <= v < height.shape[1] and found < height[u, v] <= most:  # NaN: false
             found = float(height[u, v])
     return found if found > -np.inf else np.inf
 

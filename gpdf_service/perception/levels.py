@@ -377,7 +377,7 @@ def _make_level(site: _Site, sheet: BoolArray, part: Part, before: Made | None) 
     held = _find_others(site, sheet, seen, near, grid, was)
     grid = replace(grid, others=held.unlike)
     surface, measured, both = was.level.surface, was.level.measured, was.level.edges
-    if (grid.felt("voids", 0, *grid.known["voids"].given, points=True) | grid.other_answers("voids")).any():
+    if (grid.felt("voids", 0, *grid.known["voids"].given, points=True) | grid.other_answers("seen", "voids")).any():
         holds = partial(held_in, held.points, held.first, seen)
         surface, guarded = complete(grid, seen, holds, grid.known["voids"].made, near, site)
         del near, holds
@@ -478,12 +478,14 @@ def measure(grid: Grid, surface: HeightMap) -> tuple[FloatArray, FloatArray, Boo
     """Steps and slopes of a level's ground, and its ridges, each of shape (nx, ny)."""
 
     def answer(
-        box: Box, height: NDArray[np.float32], state: NDArray[np.uint8]
+        _: Box, height: NDArray[np.float32], state: NDArray[np.uint8], pits: NDArray[np.float32], *drops: BoolArray
     ) -> tuple[FloatArray, FloatArray, BoolArray]:
         part = HeightMap(surface.origin, surface.cell_width, height, state)
-        return *step_and_slope(part), ridges(part, FLIGHT_RISE)
+        return *step_and_slope(part), ridges(part, FLIGHT_RISE, pits, drops[0] | drops[1])
 
-    step, slope, ridge = grid.around("measured", limits_reach(surface), answer, surface.height, surface.state)
+    pits, drops = grid.known["seen"].made[1], grid.known["voids"].made[:2]
+    reach, own = limits_reach(surface), (surface.height, surface.state)
+    step, slope, ridge = grid.around("measured", reach, answer, *own, pits, *drops)
     return step, slope, ridge
 
 
@@ -501,7 +503,9 @@ def sheet_surface(grid: Grid, layers: Layers, part: Part, max_step: float, noise
     pairs = off.view(np.complex64)[..., 0]  # each two in one, to be compared at once
     whole = HeightMap(part.origin, layers.cell_width, height, np.zeros(part.shape, np.uint8))
 
-    def answer(box: Box, height: NDArray[np.float32], pairs: NDArray[np.complex64]) -> tuple[NDArray[np.float32]]:
+    def answer(
+        box: Box, height: NDArray[np.float32], pairs: NDArray[np.complex64]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         off = np.ascontiguousarray(pairs)[..., None].view(np.float32)
         state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
         seen = replace(cropped(whole, box), height=height, state=state)
@@ -509,10 +513,10 @@ def sheet_surface(grid: Grid, layers: Layers, part: Part, max_step: float, noise
         if surface is not seen:  # a median's place is the middle of its cells
             off = np.where((surface.height != height)[..., None], np.float32(0.0), off)
         made = with_rims(to_centres(surface, off, noise), noise)
-        return (bridged(made, max_step).height,)
+        return bridged(made, max_step).height, made.height
 
     reach = max(whole.state.shape) if noise > 0.0 else 1 + footing_reach(whole)  # noise is smoothed further off
-    (made,) = grid.around("seen", reach, answer, height, pairs)
+    made, _ = grid.around("seen", reach, answer, height, pairs)
     return replace(whole, height=made, state=np.where(np.isnan(made), UNKNOWN, OBSERVED).astype(np.uint8))
 
 

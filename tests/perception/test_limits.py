@@ -4,6 +4,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from gpdf_service.perception.footing import ridges
 from gpdf_service.perception.limits import (
@@ -262,6 +263,13 @@ def test_what_lies_further_than_the_reach_changes_nothing(width, reach):
         np.testing.assert_array_equal(one[2 * reach + 2 :], two[2 * reach + 2 :])
 
 
+def ridges_of(height, width, pits=None, drops=False):
+    """Ridges of ground that was seen as high as `pits` before it was bridged, and ends at `drops`."""
+    surface = surface_of(height, width)
+    pits = surface.height if pits is None else pits.astype(np.float32)
+    return ridges(surface, MAX_STEP, pits, np.isnan(height) & drops)
+
+
 def a_flight(width, turn, stringer, rise=0.17, run=0.27):
     """Heights of a flight up from a floor, 0.9 m wide, with or without a board of 0.12 m along one side of it.
 
@@ -279,16 +287,46 @@ def a_flight(width, turn, stringer, rise=0.17, run=0.27):
 @pytest.mark.parametrize("turn", [0.0, 0.4, 0.7854, 1.2])
 def test_a_board_along_a_flight_is_a_ridge_from_the_first_tread_on(width, turn):
     height, board, inside = a_flight(width, turn, stringer=True)
-    found = ridges(surface_of(height, width), MAX_STEP)
+    found = ridges_of(height, width)
     assert found[board].mean() > 0.9
     assert not found[inside > SOLE + width].any()
 
 
 @pytest.mark.parametrize("width", [0.04, 0.05, 0.06])
 @pytest.mark.parametrize("turn", [0.0, 0.4, 0.7854, 1.2])
+@pytest.mark.parametrize(
+    ("beyond", "least"), [("a flight", 0.8), ("a bridged gap", 0.8), ("a room", 0.4), ("nothing", 0.0)]
+)
+def test_a_board_is_a_ridge_whatever_is_beyond_a_gap_unless_nothing_was_seen_there(width, turn, beyond, least):
+    height, board, inside = a_flight(width, turn, stringer=True)
+    gap, other = (inside < -0.6 * width) & (inside > -2.6 * width), inside <= -2.6 * width
+    board &= height > 0.3  # from the second tread on: under the first one is no step's depth
+    pits = np.where(other, height + 1.4, height)
+    if beyond == "a bridged gap":
+        height = np.where(gap, ndimage.grey_closing(height, (7, 7)), height)
+    elif beyond in ("a room", "nothing"):
+        pits = np.where(gap | other, np.nan, height)
+    height = np.where(gap & ~np.isnan(pits), height, pits)
+    found = ridges_of(height, width, pits, drops=beyond == "a room")
+    assert found[board].mean() > least if least else not found[board].any()
+    assert not found[inside > SOLE + width].any()
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.2, 0.3, 0.4, 0.7854, 1.2])
+def test_a_nose_behind_which_a_room_was_seen_is_no_ridge(turn):
+    width, run = 0.05, 0.27
+    height, _, inside = a_flight(width, turn, stringer=False)
+    x, y = (np.indices(height.shape) - 32) * width
+    along = x * np.cos(turn) + y * np.sin(turn)
+    seen = (along <= 2.0 * run + 1.5 * width) & (inside > -0.01)
+    assert not ridges_of(np.where(seen, height, np.nan), width, drops=True)[inside > SOLE + width].any()
+
+
+@pytest.mark.parametrize("width", [0.04, 0.05, 0.06])
+@pytest.mark.parametrize("turn", [0.0, 0.4, 0.7854, 1.2])
 def test_treads_are_no_ridges_but_for_their_tips_at_a_free_side(width, turn):
     height, _, inside = a_flight(width, turn, stringer=False)
-    found = ridges(surface_of(height, width), MAX_STEP)
+    found = ridges_of(height, width)
     assert not found[inside > SOLE + width].any()
     assert found.mean() < 0.01
 
@@ -296,12 +334,12 @@ def test_treads_are_no_ridges_but_for_their_tips_at_a_free_side(width, turn):
 def test_a_nose_before_a_dip_is_no_ridge():
     steps = np.repeat(0.17 * np.arange(8), 5)
     steps[12:14] -= 0.15
-    assert not ridges(surface_of(np.tile(steps[:, None], (1, 20)), 0.05), MAX_STEP)[:, 6:-6].any()  # but at the rim
+    assert not ridges_of(np.tile(steps[:, None], (1, 20)), 0.05)[:, 6:-6].any()  # but at the rim
 
 
 def test_a_sill_on_a_floor_is_no_ridge():
     cell = np.indices((30, 30))[0]
-    assert not ridges(surface_of(np.where(cell == 15, 0.15, 0.0), 0.05), MAX_STEP).any()
+    assert not ridges_of(np.where(cell == 15, 0.15, 0.0), 0.05).any()
 
 
 @pytest.mark.parametrize("axis", [0, 1])
