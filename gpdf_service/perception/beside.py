@@ -24,7 +24,7 @@ from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception.boxes import Box, span
 from gpdf_service.perception.columns import box_spliced, box_unlike, unlike_cells
 from gpdf_service.perception.layers import Layers, crop_layers, flat
-from gpdf_service.perception.told import grown
+from gpdf_service.perception.told import grown, within
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 ROWS = 16
@@ -307,11 +307,7 @@ class Beside:
             own = nodes - self.first[strips.start]
             told = tuple(flat(each[strips])[own] for each in given)
         inside = np.zeros(part.shape, dtype=bool)
-        x, y = (
-            slice(own.start - outer.start, own.stop - outer.start)
-            for own, outer in zip(box, (rows, columns), strict=True)
-        )
-        inside[x, y] = True
+        inside[within(box, (rows, columns))] = True
         return part, inside.ravel()[part.cell], nodes, told
 
     def strips(self, begin: int, end: int) -> Layers:
