@@ -28,7 +28,7 @@ from gpdf_service.perception.columns import (
     unlike_cells,
     values_spliced,
 )
-from gpdf_service.perception.footing import FLIGHT_RISE, bridged, flights, footing_reach, ridges
+from gpdf_service.perception.footing import FLIGHT_RISE, bridged, flights, footing_reach, ridges, ridges_reach
 from gpdf_service.perception.hidden import faces_reach, find_faces, hidden_reach, without_hidden
 from gpdf_service.perception.holes import (
     MAX_HOLE_RADIUS,
@@ -392,7 +392,7 @@ def _make_level(site: _Site, sheet: BoolArray, part: Part, before: Made | None) 
     asked = widened(columns | widened(other, ledge_reach(surface)), ground_reach(surface)) | held.unlike
     ledge = _find_ledges_in(site, surface, held, asked)
     stepped = held.unlike | unlike_cells(asked, was.first, was.level.ledge[:, None], held.first, ledge[:, None])
-    touched = widened(stepped | other, 1) | grid.other_answers("measured", "edges")  # all that limits tell
+    touched = widened(stepped | other, 1) | grid.other_answers("measured", "ridges", "edges")  # all that limits tell
     if not touched.any():
         return Made(was.level, grid.lasting(), held.first, None)
     return Made(GroundLevel(surface, held.points, ledge, measured, both), grid.lasting(), held.first, touched)
@@ -490,13 +490,15 @@ def _find_ledges_in(site: _Site, surface: HeightMap, held: _Others, asked: BoolA
 def measure(grid: Grid, surface: HeightMap) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Steps and slopes of a level's ground, and its ridges, each of shape (nx, ny)."""
 
-    def answer(
-        box: Box, height: NDArray[np.float32], state: NDArray[np.uint8]
-    ) -> tuple[FloatArray, FloatArray, BoolArray]:
-        part = HeightMap(surface.origin, surface.cell_width, height, state)
-        return *step_and_slope(part), ridges(part, FLIGHT_RISE)
+    def steps(_: Box, height: NDArray[np.float32], state: NDArray[np.uint8]) -> tuple[FloatArray, FloatArray]:
+        return step_and_slope(replace(surface, height=height, state=state))
 
-    step, slope, ridge = grid.around("measured", limits_reach(surface), answer, surface.height, surface.state)
+    def over(_: Box, height: NDArray[np.float32], state: NDArray[np.uint8]) -> tuple[BoolArray]:
+        return (ridges(replace(surface, height=height, state=state), FLIGHT_RISE),)
+
+    given = surface.height, surface.state
+    step, slope = grid.around("measured", limits_reach(surface), steps, *given)
+    (ridge,) = grid.around("ridges", ridges_reach(surface), over, *given)
     return step, slope, ridge
 
 
