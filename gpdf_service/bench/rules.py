@@ -84,7 +84,7 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "faces of boards": (_P + "layers", "tops_of_boards", _middles),
     "seams of sheets": (_P + "sheets", "_seams", lambda *_: []),
     "the foot of a step in its cell": (_P + "sheets", "_under_step", lambda layers, _: layers.cell < 0),
-    "undersides that nobody saw": (_P + "levels", "unseen_beneath", _false(0)),
+    "undersides that nobody saw": (_P + "levels", "unseen_beneath", lambda grid, *_: np.zeros_like(grid.others)),
     "strays": (_P + "levels", "find_strays", _false(0)),
     "sagging treads closed": (_P + "levels", "bridged", _first),
     "steps that hold a foot": (

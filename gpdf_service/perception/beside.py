@@ -24,7 +24,7 @@ from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception.boxes import Box, span
 from gpdf_service.perception.columns import box_spliced, box_unlike, unlike_cells
 from gpdf_service.perception.layers import Layers, crop_layers, flat
-from gpdf_service.perception.told import grown
+from gpdf_service.perception.told import grown, within
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 ROWS = 16
@@ -44,8 +44,10 @@ class Told(NamedTuple):
     made: list[Answer]
 
 
-Other = tuple[object, object, tuple[int, int, int, int]]
-"""What is told now, what was in the version before, and first and behind the last row and column where it is other."""
+_Ends = tuple[int, int, int, int]
+"""First and behind the last row of cells, and column."""
+Other = tuple[object, object, _Ends]
+"""What is told now, what was in the version before, and where it is other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +192,7 @@ class Beside:
     def same(self, name: str, own: Sequence[NDArray[Any]]) -> Strips:
         """An array of each strip, and the one that was told before where it is the same."""
         was, made = self.former.get(name), list[Answer]((each,) for each in own)
-        self.known[name] = Told((), made if was is None else list(map(_as_it_was, made, was.made)))
+        self.known[name] = Told((), made if was is None else list(map(self._as_it_was, made, was.made)))
         return tuple(each for (each,) in self.known[name].made)
 
     def given(self, name: str, values: NDArray[Any]) -> Strips:
@@ -221,7 +223,7 @@ class Beside:
             return self.known[name].made
         found = was.made.copy()
         for begin, end in _runs(_asked(of, was.given, spans)):
-            found[begin:end] = map(_as_it_was, make(begin, end), found[begin:end])
+            found[begin:end] = map(self._as_it_was, make(begin, end), found[begin:end])
         self.known[name] = Told(of, found)
         return found
 
@@ -267,13 +269,22 @@ class Beside:
 
     def _note(self, name: str) -> None:
         """Write into `others` where a question was told otherwise of nodes than before."""
-        cells, ny, was = self._cells(), self.layers.shape[1], self.former.get(name)
+        (nx, ny), was = self.layers.shape, self.former.get(name)
         for i, (found, before) in enumerate(zip(self.known[name].made, was.made, strict=True) if was else ()):
             for now, old in zip(found, before, strict=True) if found is not before else ():
-                if now is not old:
-                    ours, theirs = now.view(f"u{now.itemsize}"), old.view(f"u{old.itemsize}")
-                    where = box_unlike(theirs, self.was, ours, self.layers.start, (cells[i], cells[i + 1]), ny)
-                    self.others[id(now)] = now, old, where
+                if now is not old and not self._is_other(now, old):
+                    self.others[id(now)] = now, old, self._unlike(i, now, old, (0, nx, 0, ny))[0]
+
+    def _is_other(self, now: object, old: object) -> bool:
+        """Whether it is known in which cells what is told now is other than what was told."""
+        return id(now) in self.others and self.others[id(now)][1] is old
+
+    def _unlike(self, strip: int, fresh: NDArray[Any], old: NDArray[Any], box: _Ends) -> tuple[_Ends, int]:
+        """Where in a box nodes of a strip are told otherwise than before, and how many are in it: see `box_unlike`."""
+        cells, ny = self._cells()[strip : strip + 2], self.layers.shape[1]
+        told = old.view(f"u{old.itemsize}"), fresh.view(f"u{fresh.itemsize}")
+        where, count = box_unlike(*told, self.was, self.layers.start, (cells[0], cells[1]), ny, box)
+        return where, count
 
     def _window(self, given: tuple[Strips, ...], was: Told | None, strips: slice, reach: int) -> Box:
         """The box of cells of some strips in which what they are told may be other than before."""
@@ -307,11 +318,7 @@ class Beside:
             own = nodes - self.first[strips.start]
             told = tuple(flat(each[strips])[own] for each in given)
         inside = np.zeros(part.shape, dtype=bool)
-        x, y = (
-            slice(own.start - outer.start, own.stop - outer.start)
-            for own, outer in zip(box, (rows, columns), strict=True)
-        )
-        inside[x, y] = True
+        inside[within(box, (rows, columns))] = True
         return part, inside.ravel()[part.cell], nodes, told
 
     def strips(self, begin: int, end: int) -> Layers:
@@ -319,15 +326,27 @@ class Beside:
         return self.layers.rows(ROWS * begin, min(ROWS * end, self.layers.shape[0]))
 
     def _spliced(self, begin: int, box: Box, fresh: NDArray[Any], before: Strips) -> Strips:
-        """What is told of the nodes of some strips, one after another: in a box of cells the `fresh` values."""
+        """What is told of the nodes of some strips, one after another: in a box of cells the `fresh` values.
+
+        Where that is other than before is written into `others`.
+        """
         cells, start, ny, used, made = self._cells(), self.layers.start, self.layers.shape[1], 0, []
         ends = box[0].start, box[0].stop, box[1].start, box[1].stop
         for i, old in enumerate(before, begin):
-            values = np.empty(start[cells[i + 1]] - start[cells[i]], fresh.dtype)
-            own = self.was, start, (cells[i], cells[i + 1]), ny
-            used += box_spliced(old, fresh[used:], *own, ends, values)
+            values, (where, count) = old, self._unlike(i, fresh[used:], old, ends)
+            if where[0] < where[1]:
+                values = np.empty(start[cells[i + 1]] - start[cells[i]], fresh.dtype)
+                box_spliced(old, fresh[used:], self.was, start, (cells[i], cells[i + 1]), ny, ends, values)
+                self.others[id(values)] = values, old, where
+            used += count
             made.append(values)
         return tuple(made)
+
+    def _as_it_was(self, now: Answer, was: Answer) -> Answer:
+        """An answer, with the former arrays where they are the same by their bits: NaN is NaN."""
+        pairs = zip(now, was, strict=True)
+        made = tuple(old if not self._is_other(new, old) and _alike(new, old) else new for new, old in pairs)
+        return was if all(map(is_, made, was)) else made
 
 
 FEW = 8
@@ -360,12 +379,6 @@ def _runs(asked: list[int]) -> list[tuple[int, int]]:
     """First and behind the last of each run of numbers that ascend."""
     ends = [k for k in range(1, len(asked)) if asked[k] > asked[k - 1] + 1]
     return [(asked[a], asked[b - 1] + 1) for a, b in pairwise([0, *ends, len(asked)]) if a < b]
-
-
-def _as_it_was(now: Answer, was: Answer) -> Answer:
-    """An answer, with the former arrays where they are the same by their bits: NaN is NaN."""
-    made = tuple(old if _alike(new, old) else new for new, old in zip(now, was, strict=True))
-    return was if all(map(is_, made, was)) else made
 
 
 def _alike(one: NDArray[Any], other: NDArray[Any]) -> bool:

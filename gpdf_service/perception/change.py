@@ -96,7 +96,7 @@ def _change_strays(stray: BoolArray, cloud: Cloud, width: float) -> BoolArray:
     """Stray points, where those in voxels near the change may be others than before; see `find_strays`."""
     voxel = np.floor(cloud.places[:, :2] / width)
     low, high = voxel.min(axis=0), voxel.max(axis=0) + 1.0
-    near = cloud.points.rows_in_cells((low - 3.0) * width, width, np.ones((high - low + 6.0).astype(int), dtype=bool))
+    near = cloud.points.rows_in_cells((low - 2.0) * width, width, np.ones((high - low + 4.0).astype(int), dtype=bool))
     points = cloud.points.taken(near)
     column = np.floor(points[:, :2] / width)  # one on, another may be alone now, and asks one further
     sure = ((column >= low - 1.0) & (column < high + 1.0)).all(axis=1)

@@ -11,7 +11,6 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.boxes import widened
 from gpdf_service.perception.layers import Layers, build_layers, grid_of, layer_gap, same_nodes, splice_layers
 from gpdf_service.perception.points import Points
-from gpdf_service.perception.rows import chosen_rows
 from gpdf_service.perception.surface import HeightMap
 from gpdf_service.types import BoolArray, FloatArray
 
@@ -47,6 +46,13 @@ class Cloud:
         rows = self.points.rows_in_cells(np.asarray(grid.origin, np.float64), grid.cell_width, wanted)
         return rows, self.points.taken(rows)
 
+    def chosen(self, grid: Layers | HeightMap, wanted: BoolArray, kind: BoolArray) -> FloatArray:
+        """The points of a `kind`, shape (n,), in the `wanted` cells of a grid, (nx, ny)."""
+        if wanted.all():
+            return self.points.taken(np.flatnonzero(kind))
+        rows = self.points.rows_in_cells(np.asarray(grid.origin, np.float64), grid.cell_width, wanted, kind)
+        return self.points.taken(rows)
+
 
 def change_layers(
     layers: Layers, cloud: Cloud, chosen: BoolArray, config: PerceptionConfig
@@ -68,7 +74,6 @@ def change_layers(
     x, y = index[((index >= 0) & (index < shape)).all(axis=1)].astype(np.int64).T
     cells[x, y] = True
     cells = widened(cells, 1)  # a node's height asks those beside
-    rows, points = cloud.part(layers, cells)
-    own = chosen_rows(points, chosen[rows])
+    own = cloud.chosen(layers, cells, chosen)
     fresh = build_layers(own, width, layer_gap(width, config), like=layers) if len(own) else None
     return layers if same_nodes(layers, cells, fresh) else splice_layers(layers, cells, fresh), cells

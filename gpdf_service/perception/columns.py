@@ -355,29 +355,33 @@ def unlike_cells(cells: BoolArray, start: IntArray, old: NDArray[Any], fresh: In
 
 @njit(cache=True, nogil=True)
 def box_unlike(
-    old: NDArray[Any], was: IntArray, now: NDArray[Any], start: IntArray, cells: tuple[int, int], ny: int
-) -> tuple[int, int, int, int]:
+    old: NDArray[Any],
+    fresh: NDArray[Any],
+    was: IntArray,
+    start: IntArray,
+    cells: tuple[int, int],
+    ny: int,
+    box: tuple[int, int, int, int],
+) -> tuple[tuple[int, int, int, int], int]:
     """First and behind the last row and column in which nodes of some rows are told otherwise than before.
 
-    There must be some. The nodes of each cell began at `was`, and begin at `start`, shape (all cells + 1,); where there
-    are as many they are the same. The rows have `ny` cells.
+    In a box of cells, first and behind the last row and column, they are told the `fresh` values, elsewhere the `old`
+    ones. The nodes of each cell began at `was`, and begin at `start`, shape (all cells + 1,); where there are as many
+    they are the same. The rows, from the first of the `cells` to the last, have `ny` each. At last how many values are
+    these rows'.
     """
-    left, right, near, far = cells[1] // ny, 0, ny, 0
-    for row in range(cells[0], cells[1], ny):
-        a, b, other = was[row] - was[cells[0]], start[row] - start[cells[0]], False
-        if was[row + ny] - was[row] == start[row + ny] - start[row]:
-            for k in range(start[row + ny] - start[row]):  # no way out: so it is done in vectors
-                other |= old[a + k] != now[b + k]
-            if not other:
-                continue
-        for c in range(row, row + ny):
-            a, b, count = was[c] - was[cells[0]], start[c] - start[cells[0]], start[c + 1] - start[c]
+    (first, last, begin, end), used = box, 0
+    left, right, near, far = last, first, end, begin
+    for row in range(max(cells[0], first * ny), min(cells[1], last * ny), ny):
+        for c in range(row + begin, row + end):
+            a, count = was[c] - was[cells[0]], start[c + 1] - start[c]
             other = was[c + 1] - was[c] != count
             for k in range(0 if other else count):
-                other |= old[a + k] != now[b + k]
+                other |= old[a + k] != fresh[used + k]
+            used += count
             if other:
-                left, right, near, far = min(left, c // ny), c // ny + 1, min(near, c - row), max(far, c - row + 1)
-    return left, right, near, far
+                left, right, near, far = min(left, row // ny), row // ny + 1, min(near, c - row), max(far, c - row + 1)
+    return (left, right, near, far), used
 
 
 @njit(cache=True, nogil=True)

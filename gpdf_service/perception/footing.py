@@ -280,8 +280,13 @@ def _is_by_tread(ground: Cells, x: float, y: float, z: float, reach: int, stride
 
 
 def footing_reach(surface: HeightMap) -> int:
-    """Cells within which the ground decides on what is `bridged`, and on `footholds` and `ridges`."""
+    """Cells within which the ground decides on what is `bridged`, and on `footholds`."""
     return max(2 * rings_of(STRIDE, surface.cell_width), 5 * rings_of(SOLE, surface.cell_width))
+
+
+def ridges_reach(surface: HeightMap) -> int:
+    """Cells within which the ground decides on `ridges`: a piece is told to be long by that many cells of it."""
+    return footing_reach(surface) + rings_of(_LIMITS.tread_depth, surface.cell_width) + 1
 
 
 @njit(cache=True, nogil=True)

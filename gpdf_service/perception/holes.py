@@ -182,9 +182,12 @@ def find_rims(surface: HeightMap) -> NDArray[np.float32]:
 
 def _near_hollow(surface: HeightMap, hollow: BoolArray) -> BoolArray:
     """Unknown cells within `MAX_HOLE_RADIUS` of `hollow` ground; less of it than two cells by two is a stray's."""
-    firm: BoolArray = ndimage.binary_opening(hollow, np.ones((2, 2)))
-    if not firm.any():
+    square = hollow[1:, 1:] & hollow[1:, :-1] & hollow[:-1, 1:] & hollow[:-1, :-1]
+    firm = np.zeros_like(hollow)
+    if not square.any():
         return firm
+    for part in (firm[1:, 1:], firm[1:, :-1], firm[:-1, 1:], firm[:-1, :-1]):
+        part |= square
     near: BoolArray = (nearest_of(firm)[0] <= MAX_HOLE_RADIUS / surface.cell_width) & (surface.state == UNKNOWN)
     return near
 

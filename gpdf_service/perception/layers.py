@@ -162,6 +162,7 @@ class Layers:
             height it is [m], shape (k, 2); height of its highest point [m]; free height above it [m], inf under the
             open sky; height of its middle point, or of a step's face its highest [m]; and of the middle of what may be
             the upper face of a board, seen on both [m], NaN of no such node.
+        window: Of a window, which has no `rest`, all layers, and which of their nodes it holds, shape (k,).
     """
 
     origin: FloatArray
@@ -173,21 +174,25 @@ class Layers:
     thickness: FloatArray
     start: IntArray
     rest: tuple[Rest, ...]
+    window: tuple[Layers, IntArray] | None = None
 
     @property
     def place(self) -> FloatArray:
         """Of all nodes, see `rest`, shape (k, 2)."""
-        return flat([each.place for each in self.rest])
+        return flat([each.place for each in self._rest()])
 
     @property
     def top(self) -> FloatArray:
         """Of all nodes, see `rest`, shape (k,)."""
-        return flat([each.top for each in self.rest])
+        return flat([each.top for each in self._rest()])
 
     @property
     def headroom(self) -> FloatArray:
         """Of all nodes, see `rest`, shape (k,)."""
-        return flat([each.headroom for each in self.rest])
+        return flat([each.headroom for each in self._rest()])
+
+    def _rest(self) -> tuple[Rest, ...]:
+        return self.rest if self.window is None else (self.window[0].taken(self.window[1]),)
 
     def strips(self, low: int, high: int) -> Iterator[tuple[Rest, int, int]]:
         """Of the strips with some rows of cells the rest, the first node, and the one behind the last."""
@@ -297,8 +302,8 @@ def crop_layers(layers: Layers, box: Box) -> tuple[Layers, IntArray]:
     first, shape = (rows.start, columns.start), (rows.stop - rows.start, columns.stop - columns.start)
     start, cell, nodes = nodes_in_box(layers.start, layers.shape[1], first, shape)
     origin = layers.origin + layers.cell_width * np.array(first)
-    own = cell, layers.height.take(nodes), layers.thickness.take(nodes), start, (layers.taken(nodes),)
-    return Layers(origin, layers.cell_width, shape, layers.board, *own), nodes
+    own = cell, layers.height.take(nodes), layers.thickness.take(nodes), start, ()
+    return Layers(origin, layers.cell_width, shape, layers.board, *own, (layers, nodes)), nodes
 
 
 def build_layers(

@@ -28,7 +28,7 @@ from gpdf_service.perception.columns import (
     unlike_cells,
     values_spliced,
 )
-from gpdf_service.perception.footing import FLIGHT_RISE, bridged, flights, footing_reach, ridges
+from gpdf_service.perception.footing import FLIGHT_RISE, bridged, flights, footing_reach, ridges, ridges_reach
 from gpdf_service.perception.hidden import faces_reach, find_faces, hidden_reach, without_hidden
 from gpdf_service.perception.holes import (
     MAX_HOLE_RADIUS,
@@ -57,10 +57,10 @@ from gpdf_service.perception.limits import (
     step_and_slope,
 )
 from gpdf_service.perception.notches import FLIGHT, NOTCH_DEPTH, between_treads
-from gpdf_service.perception.overhead import overhead_reach, unseen_beneath
+from gpdf_service.perception.overhead import Columns, over_head, unseen_asks, unseen_beneath
 from gpdf_service.perception.points import Points, points_of
 from gpdf_service.perception.rays import Rays, seen_by_rays
-from gpdf_service.perception.rows import between, chosen_rows, extent_within, rows_by_cell, taken, under
+from gpdf_service.perception.rows import INDEX, between, chosen_rows, extent_within, rows_by_cell, taken, under
 from gpdf_service.perception.segment import LEAST_SCATTER
 from gpdf_service.perception.sheets import OVERLAP, split_sheets
 from gpdf_service.perception.smooth import RESOLVED_STEP, to_centres, with_rims
@@ -392,7 +392,7 @@ def _make_level(site: _Site, sheet: BoolArray, part: Part, before: Made | None) 
     asked = widened(columns | widened(other, ledge_reach(surface)), ground_reach(surface)) | held.unlike
     ledge = _find_ledges_in(site, surface, held, asked)
     stepped = held.unlike | unlike_cells(asked, was.first, was.level.ledge[:, None], held.first, ledge[:, None])
-    touched = widened(stepped | other, 1) | grid.other_answers("measured", "edges")  # all that limits tell
+    touched = widened(stepped | other, 1) | grid.other_answers("measured", "ridges", "edges")  # all that limits tell
     if not touched.any():
         return Made(was.level, grid.lasting(), held.first, None)
     return Made(GroundLevel(surface, held.points, ledge, measured, both), grid.lasting(), held.first, touched)
@@ -419,6 +419,23 @@ class _Others(NamedTuple):
     unlike: BoolArray
 
 
+def _columns_in(site: _Site, sheet: BoolArray, seen: HeightMap, cells: BoolArray) -> Columns:
+    """The points in some cells, but for strays and the ground of a `sheet`: these are in no cell."""
+    box, (rows, points) = window(cells, 0), site.cloud.part(seen, cells)
+    cell, stray, ground = cells_within(points, seen, box), site.stray[rows], site.ground[rows]
+    nodes = site.layers.grid_of(points), sheet, seen.state[box].size
+    run_chunked(lambda a, b: take_out(points[a:b], stray[a:b], ground[a:b], *nodes, cell[a:b]), len(points))
+    return Columns(box, cell, points, ground)
+
+
+def _flat_cells(box: Box, cells: BoolArray) -> IntArray:
+    """Flat cell in the grid of each in a box, and behind them that of none; so is that of all but the `cells`."""
+    (rows, columns), (nx, ny) = grown(box, 0, cells.shape), cells.shape
+    flat = np.add.outer(np.arange(rows.start * ny, rows.stop * ny, ny), np.arange(columns.start, columns.stop))
+    made: IntArray = np.append(np.where(cells[box], flat, nx * ny).ravel(), nx * ny).astype(INDEX)
+    return made
+
+
 def _find_others(site: _Site, sheet: BoolArray, seen: HeightMap, near: Nearest, grid: Grid, was: Made) -> _Others:
     """The points within reach over the seen ground of a `sheet`, and into the grid its voids, see `find_voids`."""
     width, max_step = seen.cell_width, site.config.max_step
@@ -431,31 +448,28 @@ def _find_others(site: _Site, sheet: BoolArray, seen: HeightMap, near: Nearest, 
     reach = ceil(max(OVERLAP, FLIGHT) / width) + 3
     low, high, treads, rim = grid.around("span", reach, answer, seen.height, seen.state)
     beside = np.where(near.distance <= MAX_HOLE_RADIUS, near.height, np.float32(np.nan))
-    given = grid.known["seen"].given[0], seen.height, low, high, treads, rim, beside
-    around = overhead_reach(width, site.config)
-    cells = grid.felt("voids", around, *given, points=True)
-    rows, points = site.cloud.part(seen, widened(cells, around))
-    cell, stray, ground, out = cells_within(points, seen), site.stray[rows], site.ground[rows], seen.state.size
-    nodes = site.layers.grid_of(points), sheet, out  # what is out is as those outside: in no cell
-    run_chunked(lambda a, b: take_out(points[a:b], stray[a:b], ground[a:b], *nodes, cell[a:b]), len(points))
-    box = window(cells, around)
-    part, shown, inside, z = cropped(seen, box), Nearest(near.distance[box], near.height[box]), cell, points[:, 2]
-    if not cells.all():
-        inside = np.where(cell == out, part.state.size, cells_within(points, seen, box))
-        cell = np.where(np.append(cells, False)[cell], cell, out)
+    own = grid.known["seen"].given[0], beside
+    asked = unseen_asks(grid, *own, width, site.config)
+    columns = _columns_in(site, sheet, seen, asked)
+    hidden = unseen_beneath(grid, columns, *own, width, site.config)
+    given = *own, seen.height, low, high, treads, rim, hidden
+    cells = grid.felt("voids", 0, *given, points=True)
+    box, cell, points, ground = columns if asked.all() else _columns_in(site, sheet, seen, cells)
+    part, shown, z = cropped(seen, box), Nearest(near.distance[box], near.height[box]), points[:, 2]
     near_by, found = run_beside(
-        partial(between, inside, z, under(low[box] - width), high[box] + TALLEST),
-        partial(find_voids, part, shown, treads[box], rim[box], inside, z, max_step),
+        partial(between, cell, z, under(low[box] - width), high[box] + TALLEST),
+        partial(find_voids, part, shown, treads[box], rim[box], cell, z, max_step),
     )
     grid.put("voids", given, cells, [(box, found)] if cells.any() else [])
-    deep = unseen_beneath(inside, z, ground, beside[box], width, site.config)
-    cell[~near_by] = out
+    over = np.where(hidden[box], over_head(beside[box], site.config), np.inf)
+    deep = between(np.where(ground, cell, cell.dtype.type(over.size)), z, over, np.full(over.shape, np.inf))
+    cell, out = _flat_cells(box, cells)[np.where(near_by, cell, over.size)], cells.size
     begin, order = by_cell(cell, out + 1)
     fresh, begin = taken(points, order[: begin[-2]]), begin[:-1]
     fresh[deep[order[: len(fresh)]], 2] -= max_step  # ground over head counts as what it may reach down to
     unlike = cells if cells.all() else unlike_cells(cells, was.first, was.level.other_points, begin, fresh)
-    own = unlike.ravel(), was.first, begin
-    first, runs = starts_spliced(*own), runs_of(*own)
+    places = unlike.ravel(), was.first, begin
+    first, runs = starts_spliced(*places), runs_of(*places)
     other = values_spliced(runs, was.level.other_points, fresh)
     ledge = values_spliced(runs, was.level.ledge, np.full(len(fresh), np.inf, np.float32))
     return _Others(other, ledge, first, unlike)
@@ -467,9 +481,8 @@ def _find_ledges_in(site: _Site, surface: HeightMap, held: _Others, asked: BoolA
     reach = max(shape) if site.noise > 0.0 else ground_reach(surface) + ledge_reach(surface)  # noise asks others, too
     for box in boxes_of(asked, reach):
         outer, cells = grown(box, reach, shape), np.zeros(shape, dtype=bool)
-        cells[outer] = True
-        rows, points = site.cloud.part(surface, cells)
-        own, floor = rows_in(held.first, box, shape), chosen_rows(points, site.ground[rows])
+        cells[grown(box, ground_reach(surface), shape)] = True
+        own, floor = rows_in(held.first, box, shape), site.cloud.chosen(surface, cells, site.ground)
         ledge[own] = find_ledges(surface, floor, held.points[own], site.config.max_step, site.noise, outer)
     return ledge
 
@@ -477,15 +490,17 @@ def _find_ledges_in(site: _Site, surface: HeightMap, held: _Others, asked: BoolA
 def measure(grid: Grid, surface: HeightMap) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Steps and slopes of a level's ground, and its ridges, each of shape (nx, ny)."""
 
-    def answer(
-        _: Box, height: NDArray[np.float32], state: NDArray[np.uint8], pits: NDArray[np.float32], *drops: BoolArray
-    ) -> tuple[FloatArray, FloatArray, BoolArray]:
-        part = HeightMap(surface.origin, surface.cell_width, height, state)
-        return *step_and_slope(part), ridges(part, FLIGHT_RISE, pits, drops[0] | drops[1])
+    def steps(_: Box, height: NDArray[np.float32], state: NDArray[np.uint8]) -> tuple[FloatArray, FloatArray]:
+        return step_and_slope(replace(surface, height=height, state=state))
 
-    pits, drops = grid.known["seen"].made[1], grid.known["voids"].made[:2]
-    reach, own = limits_reach(surface), (surface.height, surface.state)
-    step, slope, ridge = grid.around("measured", reach, answer, *own, pits, *drops)
+    def over(
+        _: Box, height: NDArray[np.float32], state: NDArray[np.uint8], pits: NDArray[np.float32], *drops: BoolArray
+    ) -> tuple[BoolArray]:
+        return (ridges(replace(surface, height=height, state=state), FLIGHT_RISE, pits, drops[0] | drops[1]),)
+
+    given, pits, drops = (surface.height, surface.state), grid.known["seen"].made[1], grid.known["voids"].made[:2]
+    step, slope = grid.around("measured", limits_reach(surface), steps, *given)
+    (ridge,) = grid.around("ridges", ridges_reach(surface), over, *given, pits, *drops)
     return step, slope, ridge
 
 

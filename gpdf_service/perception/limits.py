@@ -144,8 +144,17 @@ def _highest_known(ground: Cells, x: int, y: int) -> float:
 
 
 def limits_reach(surface: HeightMap) -> int:
-    """Cells within which the ground decides on those of a cell: the slope's reach, three medians, and three strides."""
-    return max(1, round(FOOT / surface.cell_width)) + 6 + int(3.0 * STRIDE / surface.cell_width)
+    """Cells within which the ground decides on those of a cell: the slope's reach, three medians, and a stride.
+
+    Wide cells ask for flights, two strides further.
+    """
+    width = surface.cell_width
+    return max(1, round(FOOT / width)) + 6 + int((3.0 if _wide(width) else 1.0) * STRIDE / width)
+
+
+def _wide(width: float) -> bool:
+    """Whether a tread may show in one cell of that `width` [m]."""
+    return 3.0 * width > _LIMITS.tread_depth
 
 
 def step_and_slope(surface: HeightMap) -> Measured:
@@ -162,7 +171,7 @@ def step_and_slope(surface: HeightMap) -> Measured:
     reach = max(1, round(FOOT / width))
     gradient2, short2 = np.zeros_like(height), np.zeros_like(height)
     step = np.zeros_like(height)
-    flight = flights(surface, TALL, 2.0 * STRIDE) if 3.0 * width > _LIMITS.tread_depth else np.zeros_like(known)
+    flight = flights(surface, TALL, 2.0 * STRIDE) if _wide(width) else np.zeros_like(known)
     for axis in (0, 1):
         narrow = flight & _is_narrow_tread(surface.height, width, axis) if flight.any() else flight
         rise = np.where(narrow, 0.0, np.fmin(*_rises_beside(height, reach, axis)))  # at the rim, the side that is known

@@ -150,9 +150,11 @@ def _heads(
         x, y = (points[m, 0] - ground.origin[0]) / width, (points[m, 1] - ground.origin[1]) / width
         for i in range(max(int(x) - rings, 0), min(int(x) + rings + 1, nx)):
             for j in range(max(int(y) - rings, 0), min(int(y) + rings + 1, ny)):
+                if hit[m] or not stands[i, j] or height[i, j] + tall <= points[m, 2]:
+                    continue
                 u, v = min(max(x, float(i)), i + 1.0), min(max(y, float(j)), j + 1.0)
                 near = np.hypot(x - u, y - v) * width
-                if hit[m] or not stands[i, j] or height[i, j] + tall <= points[m, 2] or near >= radius:
+                if near >= radius:
                     continue
                 hit[m] = True
                 if near > 0.0 and np.hypot(x - i - 0.5, y - j - 0.5) * width > radius - SOLE:

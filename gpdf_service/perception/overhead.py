@@ -2,47 +2,80 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.perception.boxes import lowest_around, widened
+from gpdf_service.perception.boxes import Box, lowest_around, widened
 from gpdf_service.perception.footing import rings_of
 from gpdf_service.perception.ledges import LEAST_OBSTACLE
-from gpdf_service.perception.rows import between, extent_within, under
+from gpdf_service.perception.rows import extent_within, under
+from gpdf_service.perception.told import Grid, grown, within
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 
-def overhead_reach(width: float, config: PerceptionConfig) -> int:
-    """Cells of that `width` [m] within which points and ground decide on `unseen_beneath`."""
-    return 2 * rings_of(config.widest_gap, width)
+class Columns(NamedTuple):
+    """Points in some cells: the box that holds these, flat cell in it, points (n, 3) [m], and which are ground.
+
+    Those of the cell after the last one are of none.
+    """
+
+    box: Box
+    cell: IntArray
+    points: FloatArray
+    ground: BoolArray
+
+
+def over_head(floor: NDArray[np.float32], config: PerceptionConfig) -> FloatArray:
+    """What is over head over the `floor` [m], (nx, ny), is higher than this: it leaves the lowest body room anyhow."""
+    over = floor.astype(np.float64) + config.max_step + config.min_headroom
+    return np.where(np.isnan(floor), np.inf, over)
+
+
+def unseen_asks(
+    grid: Grid, sheet: NDArray[np.float32], floor: NDArray[np.float32], width: float, config: PerceptionConfig
+) -> BoolArray:
+    """Cells whose points `unseen_beneath` asks, shape (nx, ny)."""
+    return widened(grid.felt("treads", 0, sheet, floor, points=True), rings_of(config.widest_gap, width))
 
 
 def unseen_beneath(
-    cell: IntArray, z: FloatArray, ground: BoolArray, floor: NDArray[np.float32], width: float, config: PerceptionConfig
+    grid: Grid,
+    held: Columns,
+    sheet: NDArray[np.float32],
+    floor: NDArray[np.float32],
+    width: float,
+    config: PerceptionConfig,
 ) -> BoolArray:
-    """Which points are ground over head under which nobody saw an underside, shape (n,): it may be a step thick.
+    """Cells in which nobody saw an underside of ground over head, shape (nx, ny): it may be a step thick.
 
     A flight is as deep under a tread as its riser and its waist, a floor as its slab: no more than `max_step`. An
     underside, or the face of a rim, is a point within that under the lowest tread around; it is known, as ground is, as
     far as `widest_gap`. Over head is what leaves the lowest body room even so.
 
     Args:
-        cell: Flat cell of each point; the one after the last one is of none.
-        z: Its height [m].
-        ground: Whether it is ground.
+        grid: What was asked of its cells.
+        held: The points in the cells that `unseen_asks` for.
+        sheet: Height of the ground that is of the sheet itself, and none of these points [m], shape (nx, ny).
         floor: The ground to stand on in each cell [m], shape (nx, ny), NaN where there is none near.
         width: Of the cells [m].
         config: Limits.
     """
-    rings, none = rings_of(config.widest_gap, width), np.full(floor.shape, np.inf)
-    over = np.where(np.isnan(floor), np.inf, floor.astype(np.float64) + config.max_step + config.min_headroom)
-    own = np.where(ground, cell, cell.dtype.type(over.size))
-    low = extent_within(own, z, over, none)[0]
-    if np.isinf(low).all():
-        return np.zeros(len(z), dtype=bool)
-    top = extent_within(own, z, over, low + config.max_step)[1]  # a board's two faces are one tread
-    low = lowest_around(np.where(np.isfinite(top), top, np.inf), rings)
+    rings, (box, cell, points, ground) = rings_of(config.widest_gap, width), held
+    over, z, outer = over_head(floor[box], config), points[:, 2], grown(box, rings, floor.shape)
+    own, none = np.where(ground, cell, cell.dtype.type(over.size)), np.full(over.shape, np.inf)
+    top = extent_within(own, z, over, extent_within(own, z, over, none)[0] + config.max_step)[1]  # a board is one tread
+    felt, top = grid.felt("treads", 0, sheet, floor, points=True), np.where(np.isfinite(top), top, np.inf)
+    (top,) = grid.put("treads", (sheet, floor), felt, [(box, (top,))] if felt.any() else [])
+    low = lowest_around(top[outer], rings)[within(box, outer)]
     shown = np.isfinite(extent_within(cell, z, low - config.max_step, under(low - LEAST_OBSTACLE))[0])
-    hidden = np.isfinite(low) & ~widened(shown, rings)
-    return between(own, z, np.where(hidden, over, np.inf), none)
+    felt = grid.felt("undersides", rings, sheet, top, points=True)
+    (shown,) = grid.put("undersides", (sheet, top), felt, [(box, (shown,))] if felt.any() else [])
+
+    def answer(_: Box, top: FloatArray, shown: BoolArray) -> tuple[BoolArray]:
+        return (np.isfinite(lowest_around(top, rings)) & ~widened(shown, rings),)
+
+    (hidden,) = grid.around("unseen beneath", rings, answer, top, shown)
+    return hidden

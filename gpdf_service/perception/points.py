@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from gpdf_service.fields.tree import longer
 from gpdf_service.perception.boxes import span
 from gpdf_service.perception.columns import by_cell
 from gpdf_service.perception.layers import columns_over
@@ -17,16 +18,15 @@ from gpdf_service.perception.rows import (
     bounds_of,
     cells_in_box,
     chosen_rows,
-    rows_by_cell,
     rows_in_cells,
     taken,
 )
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
-SQUARE = 1.0
-"""[m] Width of the squares in plan in which points are looked for: of what changes at once in a room."""
-_FEW = 8
-"""Squares a point at most: those of a cloud that is that thin are wider."""
+SQUARE = 0.25
+"""[m] Width of the squares in plan in which points are looked for: few of theirs lie beside what is asked."""
+_EACH = 8
+"""Points that squares hold at least, empty ones too: those of a thinner cloud are wider."""
 _BLOCK = 4096
 """Points that are counted at once."""
 
@@ -52,7 +52,7 @@ class Base:
         """The points by squares; told on first use, and kept for all versions."""
         low, high = bounds_of(self.points)
         width = SQUARE
-        while np.prod(np.floor((high - low) / width) + 1.0) > _FEW * len(self.points):
+        while _EACH * np.prod(np.floor((high - low) / width) + 1.0) > len(self.points) + _BLOCK:
             width *= 2.0
         shape = columns_over(low, high, width)
         cell = cells_in_box(self.points, low, width, np.zeros(2, np.int64), np.array(shape))
@@ -105,13 +105,16 @@ class Points:
         there[gone] = False
         return Points(self.base, np.concatenate([self.more, fresh]), there)
 
-    def rows_in_cells(self, origin: FloatArray, width: float, wanted: BoolArray) -> IntArray:
-        """Numbers of the points that are there in the `wanted` cells, (nx, ny), of a grid; they ascend."""
-        squares, grid = self.base.squares, (origin, width, wanted)
-        rows = squares.order[rows_by_cell(_meeting(squares, grid), squares.start)]
-        more = rows_in_cells(self.more, *grid)
-        more = more[self.there[len(self.base.points) + more]] + len(self.base.points)
-        return np.concatenate([np.sort(_inside(self.base.points, self.there, rows, grid)).astype(np.int64), more])
+    def rows_in_cells(
+        self, origin: FloatArray, width: float, wanted: BoolArray, kind: BoolArray | None = None
+    ) -> IntArray:
+        """Numbers of the points that are there in the `wanted` cells, (nx, ny), of a grid; they ascend.
+
+        If a `kind` is given, shape (n + k,), only those of it; none of it may have gone.
+        """
+        grid, count, asked = (origin, width, wanted), len(self.base.points), self.there if kind is None else kind
+        rows, more = _inside(self.base.points, asked, self.base.squares, grid), rows_in_cells(self.more, *grid)
+        return np.concatenate([np.sort(rows).astype(np.int64), more[asked[count + more]] + count])
 
     def bounds(self, chosen: BoolArray) -> tuple[FloatArray, FloatArray]:
         """Least and greatest (x, y) [m] of the `chosen` points, shape (n + k,)."""
@@ -161,27 +164,25 @@ _Cells = tuple[FloatArray, float, BoolArray]
 
 
 @njit(cache=True, nogil=True)
-def _meeting(squares: _Squares, cells: _Cells) -> BoolArray:
-    """Which squares the wanted cells of a grid meet; rounding: with a cell more on each side."""
-    (corner, wide, shape, _, _), (origin, width, wanted) = squares, cells
-    found, (left, right, near, far) = np.zeros(shape, np.bool_), span(wanted)
-    for i in range(left, right):
-        for j in range(near, far):
-            if wanted[i, j]:
-                x, y = origin[0] - corner[0] + i * width, origin[1] - corner[1] + j * width
-                for u in range(max(int((x - width) / wide), 0), min(int((x + 2.0 * width) / wide) + 1, shape[0])):
-                    for v in range(max(int((y - width) / wide), 0), min(int((y + 2.0 * width) / wide) + 1, shape[1])):
-                        found[u, v] = True
-    return found
-
-
-@njit(cache=True, nogil=True)
-def _inside(points: FloatArray, there: BoolArray, numbers: IntArray, cells: _Cells) -> IntArray:
-    """Those of the numbers whose points are there, and in the wanted cells of a grid."""
-    found, used, (origin, width, wanted) = np.empty(len(numbers) + 1, INDEX), 0, cells
-    for n in numbers:
-        i = int(np.floor((points[n, 0] - origin[0]) / width))
-        j = int(np.floor((points[n, 1] - origin[1]) / width))
-        found[used] = n
-        used += int(there[n] and 0 <= i < wanted.shape[0] and 0 <= j < wanted.shape[1] and wanted[i, j])
+def _inside(points: FloatArray, asked: BoolArray, squares: _Squares, cells: _Cells) -> IntArray:
+    """Numbers of the `asked` points in the wanted cells of a grid: only squares are read that meet one."""
+    (corner, wide, shape, start, order), (origin, width, wanted) = squares, cells
+    found, used, (left, right, near, far) = np.empty(_BLOCK, INDEX), 0, span(wanted)
+    side, x, y = width / wide, (origin[0] - corner[0]) / wide, (origin[1] - corner[1]) / wide  # in squares
+    for u in range(max(int(x + (left - 1) * side), 0), min(int(x + (right + 1) * side) + 1, shape[0])):
+        i, k = max(int((u - x) / side) - 1, left), min(int((u + 1 - x) / side) + 2, right)  # rounding: a cell more
+        for v in range(max(int(y + (near - 1) * side), 0), min(int(y + (far + 1) * side) + 1, shape[1])):
+            j, m = max(int((v - y) / side) - 1, near), min(int((v + 1 - y) / side) + 2, far)
+            if i >= k or j >= m or not wanted[i:k, j:m].any():
+                continue
+            square = order[start[u * shape[1] + v] : start[u * shape[1] + v + 1]]
+            if used + len(square) > len(found):
+                found = longer(found, 2 * (used + len(square)))
+            for n in square:
+                if not asked[n]:
+                    continue
+                a = int(np.floor((points[n, 0] - origin[0]) / width))
+                b = int(np.floor((points[n, 1] - origin[1]) / width))
+                found[used] = n
+                used += int(0 <= a < wanted.shape[0] and 0 <= b < wanted.shape[1] and wanted[a, b])
     return found[:used]

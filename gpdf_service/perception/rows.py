@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.tree import longer
+from gpdf_service.perception.boxes import span
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 INDEX: Any = np.int32
@@ -50,14 +51,9 @@ def more_now(key: NDArray[np.uint64], was: int) -> IntArray:
 @njit(cache=True, nogil=True)
 def rows_in_cells(points: FloatArray, origin: FloatArray, cell_width: float, wanted: BoolArray) -> IntArray:
     """Rows of the points (n, 3) in the `wanted` cells, shape (nx, ny), of a grid; sorted."""
-    found, used = np.empty(1024, np.int64), 0
-    low, high = np.full(2, np.inf), np.full(2, -np.inf)  # [m] around the cells: most points are seen to lie outside
-    for i in range(wanted.shape[0]):
-        for j in range(wanted.shape[1]):
-            if wanted[i, j]:
-                low[0], high[0] = min(low[0], i - 1), max(high[0], i + 2)
-                low[1], high[1] = min(low[1], j - 1), max(high[1], j + 2)
-    low, high = origin + low * cell_width, origin + high * cell_width
+    found, used, (left, right, near, far) = np.empty(1024, np.int64), 0, span(wanted)
+    low = origin + np.array([left - 1, near - 1]) * cell_width  # around the cells: most points are seen to lie outside
+    high = origin + np.array([right + 1, far + 1]) * cell_width
     for row in _rows_between(points, low, high, 0, len(points)):
         i = int(np.floor((points[row, 0] - origin[0]) / cell_width))
         j = int(np.floor((points[row, 1] - origin[1]) / cell_width))

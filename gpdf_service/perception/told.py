@@ -58,6 +58,12 @@ def grown(box: Box, by: int, shape: tuple[int, ...]) -> Box:
     return rows, columns
 
 
+def within(box: Box, outer: Box) -> Box:
+    """Where a box lies in one around it."""
+    rows, columns = (slice(own.start - o.start, own.stop - o.start) for own, o in zip(box, outer, strict=True))
+    return rows, columns
+
+
 def unlike(now: NDArray[Any], was: NDArray[Any]) -> BoolArray:
     """Where values are others than before, by their bits: NaN is NaN."""
     kind = f"u{now.dtype.itemsize}"
@@ -115,7 +121,7 @@ class Grid:
         def parts() -> Iterable[tuple[Box, tuple[NDArray[Any], ...]]]:
             for box in boxes_of(felt, reach):
                 outer = grown(box, reach, felt.shape)
-                own = tuple(slice(b.start - o.start, b.stop - o.start) for b, o in zip(box, outer, strict=True))
+                own = within(box, outer)
                 yield box, tuple(each[own] for each in answer(outer, *(each[outer] for each in given)))
 
         return self.put(name, given, felt, parts())

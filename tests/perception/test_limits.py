@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from gpdf_service.perception.footing import ridges
+from gpdf_service.perception.footing import ridges, ridges_reach
 from gpdf_service.perception.limits import (
     ObstacleKind,
     _is_narrow_tread,
@@ -249,9 +249,9 @@ def test_heights_of_the_neighbours_are_unknown_beyond_the_rim():
         np.testing.assert_allclose(found[row], expected, atol=1e-6)
 
 
-@pytest.mark.parametrize(("width", "reach"), [(0.05, 2 + 6 + 24), (0.1, 1 + 6 + 12), (0.3, 1 + 6 + 4)])
+@pytest.mark.parametrize(("width", "reach"), [(0.05, 2 + 6 + 8), (0.1, 1 + 6 + 12), (0.3, 1 + 6 + 4)])
 def test_what_lies_further_than_the_reach_changes_nothing(width, reach):
-    """A foot's length, three medians and three strides."""
+    """A foot's length, three medians and a stride, or three in cells that a tread may show in one of."""
     assert limits_reach(surface_of(np.zeros((2, 2)), width)) == reach
     rng = np.random.default_rng(3)
     height = terrain("bank", width, rng, (2 * reach + 9, 12))
@@ -340,6 +340,19 @@ def test_a_nose_before_a_dip_is_no_ridge():
 def test_a_sill_on_a_floor_is_no_ridge():
     cell = np.indices((30, 30))[0]
     assert not ridges_of(np.where(cell == 15, 0.15, 0.0), 0.05).any()
+
+
+@pytest.mark.parametrize("width", [0.04, 0.05, 0.1])
+@pytest.mark.parametrize("broken", [0.0, 0.2])
+def test_boards_further_than_the_reach_from_a_rise_are_no_ridges_of_its_flight(width, broken):
+    reach = ridges_reach(surface_of(np.zeros((2, 2)), width))
+    height = np.where(np.indices((12 + 2 * reach, 40))[1] % 9 == 4, 0.12, 0.0)
+    height[np.random.default_rng(0).random(height.shape) < broken] = 0.0
+    beside = height.copy()
+    beside[:12] += 1.0
+    off, on = (ridges(surface_of(each, width), MAX_STEP) for each in (height, beside))
+    rows = np.flatnonzero((off != on).any(axis=1))
+    assert 12 + reach // 2 < rows.max() < 12 + reach
 
 
 @pytest.mark.parametrize("axis", [0, 1])
