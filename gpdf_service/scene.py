@@ -29,6 +29,7 @@ from gpdf_service.perception import (
     Levels,
     Perceived,
     Rays,
+    Sampling,
     Scan,
     Touched,
     WholeError,
@@ -251,14 +252,14 @@ class Scene:
         return tuple(level.surface for level in self.levels.levels)
 
     @property
-    def resolution(self) -> float | None:
-        """Width of the cells that the next versions keep [m]; none where noise or rough ground asks for each its own.
+    def sampling(self) -> Sampling | None:
+        """What the next versions keep; none where noise or rough ground asks for each its own.
 
-        They keep it until `MAX_DRIFT` of the points have changed: a measured width has steps, and a cloud beside one
-        must not take another grid with each chair that is moved.
+        They keep it until `MAX_DRIFT` of the points have changed: what is measured has steps, and a cloud beside one
+        must not take another grid with each chair that is moved, nor be noisy with one and clean with the next.
         """
         clean = self.perceived is not None and (self.labelled or self.perceived.segmentation is not None)
-        return self.surfaces[0].cell_width if clean else None
+        return Sampling(self.surfaces[0].cell_width, self.noise) if clean else None
 
     @property
     def hidden_height(self) -> float:
@@ -422,9 +423,9 @@ class Scene:
                 pass
         cloud = chosen_rows(self.points, keep, fresh)
         labels = None if labels is None else np.concatenate([self.ground[keep], labels])
-        rays, width = self._rays_of(fresh, origins, keep, cloud), self.resolution if drift <= MAX_DRIFT else None
-        scene = assemble_scene(cloud, labels, self.config, like=self, width=width, rays=rays, progress=progress)
-        scene.drift, scene.shades = 0.0 if width is None else drift, self.shades
+        rays, known = self._rays_of(fresh, origins, keep, cloud), self.sampling if drift <= MAX_DRIFT else None
+        scene = assemble_scene(cloud, labels, self.config, like=self, known=known, rays=rays, progress=progress)
+        scene.drift, scene.shades = 0.0 if known is None else drift, self.shades
         return scene
 
     def _changed(
@@ -629,23 +630,25 @@ def assemble_scene(
     config: Config,
     *,
     like: Scene | None = None,
-    width: float | None = None,
+    known: Sampling | None = None,
     rays: Rays | None = None,
     progress: Progress = lambda stage, done: None,
 ) -> Scene:
     """Ground, levels and Ground GPDFs of a cloud; what is as it was in the scene `like` is taken over from it.
 
-    The `width` of the cells [m] is measured when it is not given. The `rays` tell what was seen of inferred ground.
+    What is not `known` of its sampling is measured. The `rays` tell what was seen of inferred ground.
     """
     progress("segment ground", 0.0)
-    found = cure_and_segment(cloud, labels, config.perception, width)
+    found = cure_and_segment(cloud, labels, config.perception, known)
     cured, ground, segmentation = found.cured, found.ground, found.segmentation
     give_back(len(cloud))
     progress("build levels", 0.4)
     points, labelled = cured.points, ground
     if cured.stray.any():
         points, labelled = chosen_rows(points, ~cured.stray), ground[~cured.stray]
-    width = width if segmentation is None else segmentation.layers.cell_width
+    width = known.width if known is not None else None
+    if segmentation is not None:
+        width = segmentation.layers.cell_width
     held, noise = points_of(points), 0.0 if found.as_it_was else cured.measured
     levels, survey = survey_levels(points, labelled, config.perception, width=width, noise=noise, rays=rays, held=held)
     give_back(len(cloud))
@@ -661,8 +664,8 @@ def assemble_scene(
     version = 1 if like is None else like.version + 1
     lasting = found.as_it_was and rays is None  # what rays show of a part of a scene is not told part by part
     perceived = Perceived(held, ground, segmentation, levels, survey).lasting() if lasting else None
-    known = version, in_steps(noise, NOISE_STEP), labels is not None
-    return Scene(held if lasting else cloud, ground, levels, fields, config, *known, perceived, rays=rays)
+    facts = version, in_steps(noise, NOISE_STEP), labels is not None
+    return Scene(held if lasting else cloud, ground, levels, fields, config, *facts, perceived, rays=rays)
 
 
 def _lattice(level: GroundLevel, config: Config) -> Lattice:

@@ -211,9 +211,9 @@ def random_change(scene, rng):
 
 
 def from_scratch(scene):
-    """The scene of the same points and labels, at the same resolution."""
+    """The scene of the same points and labels, with the same sampling."""
     labels = scene.ground if scene.labelled else None
-    return assemble_scene(scene.points, labels, scene.config, width=scene.resolution)
+    return assemble_scene(scene.points, labels, scene.config, known=scene.sampling)
 
 
 @pytest.mark.parametrize(
@@ -278,9 +278,30 @@ def test_a_scene_keeps_its_resolution_until_much_of_it_has_changed():
     assert thinner.perceived.touched
     assert not beyond.perceived.touched  # the map has other bounds: all was looked at
     for changed in (thinner, beyond):
-        assert changed.resolution == width
+        assert changed.sampling.width == width
         assert_equal_scenes(changed, from_scratch(changed))
-    assert beyond.update(remove=np.arange(200)).resolution > width
+    assert beyond.update(remove=np.arange(200)).sampling.width > width
+
+
+def test_how_noisy_a_cloud_is_is_kept_as_its_cells_width_is():
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0.0, 6.0, 0.08), np.arange(0.0, 5.0, 0.08)))
+    off = np.random.default_rng(3).normal(size=len(x))
+
+    def floor(noise):
+        return gpdf.build_scene(np.column_stack([x, y, noise * off]), np.ones(len(x), bool))
+
+    low, high = 0.002, 0.008
+    while high - low > 1e-7:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if floor(middle).noise else (middle, high)
+    differs = []
+    for scene in (floor(low), floor(high)):  # one is as good as negligible, the other one is not quite
+        changed = scene.update(remove=(np.abs(scene.points[:, :2] - 3.0) < 0.5).all(axis=1))
+        assert changed.perceived.touched
+        assert changed.noise == scene.noise
+        assert_equal_scenes(changed, from_scratch(changed))
+        differs.append(assemble_scene(changed.points, changed.ground, changed.config).noise != scene.noise)
+    assert any(differs)
 
 
 def test_a_ground_field_resolves_the_same_however_much_of_the_ground_is_steep():

@@ -77,8 +77,8 @@ def _changes(scene: Scene, count: int, rng: np.random.Generator) -> Iterator[dic
 
 
 def from_scratch(scene: Scene) -> Scene:
-    """A build of the same points and labels, at the same resolution."""
-    return assemble_scene(scene.points, scene.ground if scene.labelled else None, scene.config, width=scene.resolution)
+    """A build of the same points and labels, with the same sampling."""
+    return assemble_scene(scene.points, scene.ground if scene.labelled else None, scene.config, known=scene.sampling)
 
 
 def differences(one: Scene, other: Scene) -> list[str]:

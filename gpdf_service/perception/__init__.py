@@ -5,6 +5,7 @@ from gpdf_service.perception.change import Perceived as Perceived
 from gpdf_service.perception.change import Touched as Touched
 from gpdf_service.perception.change import change as change
 from gpdf_service.perception.cloud import WholeError as WholeError
+from gpdf_service.perception.cure import Sampling as Sampling
 from gpdf_service.perception.cure import cure_and_segment as cure_and_segment
 from gpdf_service.perception.keep import levels_from_arrays as levels_from_arrays
 from gpdf_service.perception.keep import levels_to_arrays as levels_to_arrays

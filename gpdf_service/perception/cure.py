@@ -59,6 +59,18 @@ class CuredGround(NamedTuple):
     segmentation: Segmentation | None = None
 
 
+class Sampling(NamedTuple):
+    """How a clean cloud was measured, told once from all of it: the changes of it that follow keep both.
+
+    Attributes:
+        width: Of the cells that it is looked at in [m].
+        noise: Standard deviation of its points [m]; 0 when negligible.
+    """
+
+    width: float
+    noise: float
+
+
 class _Sample(NamedTuple):
     """Which points are a sample of the cloud, shape (n,), and the cloud's spacing and noise [m]."""
 
@@ -68,7 +80,7 @@ class _Sample(NamedTuple):
 
 
 def cure_and_segment(
-    points: FloatArray, ground: BoolArray | None, config: PerceptionConfig, width: float | None = None
+    points: FloatArray, ground: BoolArray | None, config: PerceptionConfig, known: Sampling | None = None
 ) -> CuredGround:
     """Move the points of a noisy cloud onto their surfaces, and tell ground from the rest.
 
@@ -81,8 +93,10 @@ def cure_and_segment(
         points: The cloud [m], shape (n, 3).
         ground: Labels, shape (n,); our own segmentation where not given.
         config: Limits.
-        width: Of the cells that a clean cloud is segmented in [m]; measured when not given.
+        known: Of a cloud that was clean, and changed a little; measured when not given.
     """
+    if known is not None:
+        return _as_it_was(points, ground, config, known)
     sample = _measure(points)
     least = max(config.negligible_noise, (_SEEN if ground is None else _SEEN_APART) * sample.spacing)
     noise = sample.noise
@@ -92,11 +106,18 @@ def cure_and_segment(
             return CuredGround(_clean(points, noise), ground, as_it_was=True)
         return _cured(points, ground, noise, sample.spacing)
     if noise <= least:
-        first, segmentation = segment(points, first_layers(points, config, width), config)
+        first, segmentation = segment(points, first_layers(points, config), config)
         noise = _with_double(points, first, sample, least)
         if noise <= least:
             return CuredGround(_clean(points, noise), first, as_it_was=True, segmentation=segmentation)
     return _found(points, noise, sample.spacing, config)
+
+
+def _as_it_was(points: FloatArray, ground: BoolArray | None, config: PerceptionConfig, known: Sampling) -> CuredGround:
+    segmentation = None
+    if ground is None:
+        ground, segmentation = segment(points, first_layers(points, config, known.width), config)
+    return CuredGround(_clean(points, known.noise), ground, as_it_was=True, segmentation=segmentation)
 
 
 def _clean(points: FloatArray, noise: float) -> Denoised:
