@@ -26,8 +26,9 @@ def test_what_was_warmed_once_is_not_compiled_again(capsys):
 
 
 @pytest.mark.slow
-def test_a_warming_that_is_killed_takes_its_processes_with_it():
-    words = [sys.executable, "-m", "gpdf_service.cli", "warm"]
+@pytest.mark.parametrize("verb", ["warm", "bench paper --jobs 2 --scene office --scene stair"])
+def test_a_verb_that_is_killed_takes_its_processes_with_it(verb):
+    words = [sys.executable, "-m", "gpdf_service.cli", *verb.split()]
     with subprocess.Popen(words, stderr=subprocess.DEVNULL) as warming:
         children, began = Path(f"/proc/{warming.pid}/task/{warming.pid}/children"), []
         while len(began) < 2:  # one process at the least, beside that which tracks what they share

@@ -24,6 +24,7 @@ from tqdm import tqdm
 import gpdf_service as gpdf
 from gpdf_service.bench.report import Row, show
 from gpdf_service.bench.running import Running, serving
+from gpdf_service.cores import end_with_parent
 from gpdf_service.synthetic.hostile import Hostile, hostile_clouds
 
 ALLOWED = 4.0, 5e8
@@ -82,6 +83,7 @@ def _memory(name: str) -> float:
 
 def _ready() -> None:
     """Load and compile what a scene needs, within the limit."""
+    end_with_parent()
     resource.setrlimit(resource.RLIMIT_DATA, (LIMIT, LIMIT))
     x, y = (axis.ravel() for axis in np.meshgrid(*2 * [np.arange(0.0, 3.0, 0.03)], indexing="ij"))
     floor = np.column_stack([x, y, np.zeros(len(x))])

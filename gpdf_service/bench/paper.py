@@ -20,6 +20,7 @@ from gpdf_service.bench.brute import BruteForce
 from gpdf_service.bench.judge import Judge, Verdict
 from gpdf_service.bench.paper_tables import METHODS, to_markdown
 from gpdf_service.bench.report import Row
+from gpdf_service.cores import end_with_parent
 from gpdf_service.errors import GpdfError, RequestError
 from gpdf_service.perception import read_cloud, segment_ground
 from gpdf_service.pipeline import Method, build_scene, plan
@@ -64,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     failed = False
     scenes = _scenes(args.scene or list(SCENES))
     if args.jobs > 1:
-        with ProcessPoolExecutor(args.jobs, get_context("spawn")) as pool:
+        with ProcessPoolExecutor(args.jobs, get_context("spawn"), end_with_parent) as pool:
             done = list(pool.map(partial(_evaluate, args), scenes))
     else:
         done = [_evaluate(args, scene) for scene in scenes]

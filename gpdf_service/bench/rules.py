@@ -104,6 +104,7 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "single empty cells": (_P + "holes", "_fill_gaps", lambda _, __, height, state, *___: (height, state)),
     "single cells on bends": (_P + "holes", "_onto_bends", lambda *_: None),
     "planes over holes": (_P + "holes", "_fill", lambda *_: None),
+    "single cells where rays met the floor": (_P + "holes", "_fill_single", lambda _, *ground: ground),
     "notches of flights": (_P + "holes", "fill_notches", _first),
     "strips at a flight's side": (_P + "notches", "_fill_bitten", lambda *_: None),
     "treads seen as lines": (_P + "notches", "_as_wide_as_a_sole", lambda known, _: known),

@@ -15,8 +15,8 @@ from tempfile import TemporaryDirectory
 from numba.core.event import Event, Listener, register
 from tqdm import tqdm
 
-from gpdf_service.cli.work import end_with_parent, size_of_terminal
-from gpdf_service.cores import worker_count
+from gpdf_service.cli.work import size_of_terminal
+from gpdf_service.cores import end_with_parent, worker_count
 
 BLINK = 0.1
 """[s] Between two looks at how many kernels there are."""

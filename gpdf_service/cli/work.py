@@ -5,7 +5,6 @@ It stands before the packages that do the work are loaded, so that something is 
 
 from __future__ import annotations
 
-import os
 import shutil
 import signal
 import sys
@@ -15,8 +14,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from importlib.util import find_spec
-from multiprocessing import parent_process
-from multiprocessing.process import BaseProcess
 from types import TracebackType
 from typing import Any
 
@@ -48,17 +45,6 @@ def mortal() -> Iterator[None]:
     finally:
         if ours:
             signal.signal(signal.SIGINT, before)
-
-
-def end_with_parent() -> None:
-    """End this process of a pool when the one that began it ends, however that is: it would wait for work for ever."""
-    if (parent := parent_process()) is not None:
-        threading.Thread(target=_end_after, args=(parent,), daemon=True).start()
-
-
-def _end_after(parent: BaseProcess) -> None:
-    parent.join()
-    os._exit(1)
 
 
 def size_of_terminal() -> dict[str, int]:

@@ -38,7 +38,7 @@ STEPPED = 0.75
 """[-] Of a box's rim, in pairs of nodes: a platform's corner has 0.65 at most, a lid in noise of a sixth of its height
 0.87 at least."""
 RISING = 0.05
-"""[-] Of a box's rim that may lie under other ground: strays. A tread's rim has a third."""
+"""[-] Of a box's rim that may lie under other ground: strays. A tread has a third, a step before a door a fifth."""
 LONG = 3.0
 """[-] Length over depth of what crosses the way, a sill or a ridge; what stands about is rounder. So no thing
 that is narrower than a person is larger than three of a person's squares; a platform's corner is."""

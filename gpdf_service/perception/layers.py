@@ -43,8 +43,6 @@ BOARD = 0.02
 """[m] Thinnest board that a tread is made of, less what a good scanner scatters."""
 THIN = 0.15
 """[m] A surface in a wide cell is no thicker: less than a stair's riser. What is thicker is two, or a face."""
-SPREAD = 4.0
-"""[-] Thickness that noise adds to a surface over its standard deviation: nearly all of its points are within two."""
 _SAMPLE = 4000
 """Points of a floor whose neighbours are looked at: the median's error is then about 1 %."""
 _NEIGHBOUR = 8
@@ -153,7 +151,6 @@ class Layers:
         origin: Lower corner of the grid [m], shape (2,).
         cell_width: [m].
         shape: Cells along x and y.
-        board: Least room between the two faces of a board [m].
         cell: Flat cell index of each node, shape (k,).
         height: Height of its surface [m], shape (k,).
         thickness: Between its lowest and highest point [m], shape (k,).
@@ -168,7 +165,6 @@ class Layers:
     origin: FloatArray
     cell_width: float
     shape: tuple[int, int]
-    board: float
     cell: IntArray
     height: FloatArray
     thickness: FloatArray
@@ -208,7 +204,7 @@ class Layers:
         rest = tuple(Rest(*(each[begin:end] for each in own)) for own, begin, end in strips)
         told = self.cell[a:b] - low * ny, self.height[a:b], self.thickness[a:b], start[low * ny : high * ny + 1] - a
         origin = self.origin + self.cell_width * np.array([low, 0])
-        return Layers(origin, self.cell_width, (high - low, ny), self.board, *told, rest)
+        return Layers(origin, self.cell_width, (high - low, ny), *told, rest)
 
     def taken(self, nodes: IntArray) -> Rest:
         """The rest of some nodes, whose numbers ascend."""
@@ -279,12 +275,12 @@ def splice_layers(layers: Layers, changed: BoolArray, fresh: Layers | None) -> L
             part = runs_of(other[a:b], layers.start[a : b + 1] - first, begin[a : b + 1])
             rest[i] = Rest(*(values_spliced(part, *both) for both in zip(rest[i], fresh_rest, strict=True)))
     own = cell, height, thickness, start, tuple(rest)
-    made = Layers(layers.origin, layers.cell_width, layers.shape, layers.board, *own)
+    made = Layers(layers.origin, layers.cell_width, layers.shape, *own)
     around, (rows, _) = widened(changed, 1), window(changed, 2)  # what lies beside a board says if it is one
     near = made.rows(rows.start, rows.stop)
     nodes, told = rows_by_cell(around[rows], near.start), Rest(*map(flat, zip(*near.rest, strict=True)))
     grid = near.cell, near.start, near.shape
-    tops = tops_of_boards(nodes, grid, told.middle, told.face, layers.board)
+    tops = tops_of_boards(nodes, grid, told.middle, told.face, BOARD)
     height[nodes + start[rows.start * ny]] = tops
     return made
 
@@ -303,36 +299,34 @@ def crop_layers(layers: Layers, box: Box) -> tuple[Layers, IntArray]:
     start, cell, nodes = nodes_in_box(layers.start, layers.shape[1], first, shape)
     origin = layers.origin + layers.cell_width * np.array(first)
     own = cell, layers.height.take(nodes), layers.thickness.take(nodes), start, ()
-    return Layers(origin, layers.cell_width, shape, layers.board, *own, (layers, nodes)), nodes
+    return Layers(origin, layers.cell_width, shape, *own, (layers, nodes)), nodes
 
 
-def build_layers(
-    points: FloatArray, cell_width: float, gap: float, noise: float = 0.0, *, like: Layers | None = None
-) -> Layers:
+def build_layers(points: FloatArray, cell_width: float, gap: float, *, like: Layers | None = None) -> Layers:
     """Cut the columns of `points`, shape (n, 3), wherever neighbours in height are more than `gap` apart [m].
 
-    A surface is as thick as its slope and `SPREAD` standard deviations of the `noise` [m] make it. The grid is that of
-    `like`, which must hold all points, or as large as the points ask for.
+    A surface is as thick as its slope makes it. The grid is that of `like`, which must hold all points, or as large as
+    the points ask for.
     """
     origin, shape = grid_of(*bounds_of(points), cell_width) if like is None else (like.origin, like.shape)
     cell = cells_of(points, origin, cell_width, shape)
     low, high = (int(cell.min()), int(cell.max()) + 1) if len(cell) else (0, 0)  # a few columns cost what they are
     cell -= low
     ordered = column_order(cell, points, high - low)
-    flat, board = min(2.0 * cell_width, THIN) + SPREAD * noise, BOARD + SPREAD * noise
     first = count_nodes(ordered[0], ordered[2], gap)
     count = int(first[-1])
     cell_of, row = np.empty(count, np.int64), np.empty(count, np.int64)
     middle, face, top, thickness, headroom = (np.empty(count) for _ in range(5))
     made = cell_of, row, middle, face, top, thickness, headroom
-    run_chunked(lambda a, b: cut_columns(ordered, (gap, flat, board), first, a, b, made), high - low)
+    limits = gap, min(2.0 * cell_width, THIN), BOARD
+    run_chunked(lambda a, b: cut_columns(ordered, limits, first, a, b, made), high - low)
     cell_of += low
     first = np.concatenate([np.zeros(low, np.int64), first, np.full(shape[0] * shape[1] - high, count)])
-    height = tops_of_boards(np.arange(count), (cell_of, first, shape), middle, face, board)
+    height = tops_of_boards(np.arange(count), (cell_of, first, shape), middle, face, BOARD)
     ends = first[np.minimum(np.arange(0, shape[0] + STRIP, STRIP), shape[0]) * shape[1]].tolist()
     told = np.ascontiguousarray(points[row, :2]), top, headroom, middle, face
     rest = tuple(Rest(*(each[a:b] for each in told)) for a, b in pairwise(ends))
-    return Layers(origin, cell_width, shape, board, cell_of, height, thickness, first, rest)
+    return Layers(origin, cell_width, shape, cell_of, height, thickness, first, rest)
 
 
 HALF = ((1, 0), (0, 1), (1, 1), (1, -1))

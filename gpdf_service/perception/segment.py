@@ -57,9 +57,6 @@ ROBUST = 1.4826
 """[-] Standard deviation over the median of what normal residuals are off by."""
 LEAST_SCATTER = 0.02
 """[m] Scatter of a good scanner's floor; three robust standard deviations of the residuals where that is more."""
-NOISY = 2.8
-"""[-] Cells are as wide as the root of this by noise and width, so that two deviations of the difference of neighbours,
-each the median of its points, stay under the steepest slope: w tan(0.7) ≥ 2 · √2 · 1.25 σ (w₀ / 1.5) / w."""
 LEVEL = np.zeros(1)
 """[m] Relief of a clean cloud's ground: what was seen is there."""
 ROOF_SHARE = 0.2
@@ -144,30 +141,18 @@ def first_layers(cloud: FloatArray, config: PerceptionConfig, width: float | Non
 
 def segment(
     cloud: FloatArray, layers: Layers, config: PerceptionConfig, noise: FloatArray | None = None
-) -> tuple[BoolArray, Segmentation | None]:
+) -> tuple[BoolArray, Segmentation]:
     """`segment_ground` of points (n, 3) in their `first_layers`: which are ground, and what that was found from.
 
-    None where the ground is so rough or noisy that a second look with wider cells was needed. What is no higher over
-    the ground than the `noise` [m], shape (n,), that the points had there is no thing: so much can be left of it.
+    What is no higher over the ground than the `noise` [m], shape (n,), that the points had there is no thing: so much
+    can be left of it.
     """
-    found = _segment_points(cloud, layers, config, noise)
-    width = layers.cell_width
-    wider = float(np.sqrt(NOISY * found.deviation * width))
-    if wider <= width:
-        return found.holds(cloud), found.lasting()
-    layers = build_layers(cloud, wider, layer_gap(wider, config), found.deviation)
-    return _segment_points(cloud, layers, config, noise).holds(cloud), None
-
-
-def _segment_points(
-    cloud: FloatArray, layers: Layers, config: PerceptionConfig, noise: FloatArray | None
-) -> Segmentation:
-    """What is found of the points in their layers."""
     relief = LEVEL
     if noise is not None:
         relief = np.zeros(len(layers.cell))
         np.maximum.at(relief, nodes_of(layers, cloud), noise)
-    return segment_layers(beside(layers), config, cloud, relief=relief)
+    found = segment_layers(beside(layers), config, cloud, relief=relief)
+    return found.holds(cloud), found.lasting()
 
 
 def segment_layers(
@@ -275,7 +260,7 @@ def find_ground(near: Beside, config: PerceptionConfig, relief: FloatArray = LEV
         parts = without_crumbs(near.layers, parts, joins)
     kept = accept_parts(near, parts, joins, (core, keep, under), config)
     seeds, stands = parts.pieces.chosen("seeds", kept), parts.pieces.chosen("stands", parts.standable)
-    wide, low = _grown(near, core, keep, under, seeds, rise, config)
+    wide, low = _grown(near, core, keep, under, seeds, rise)
     given = wide, keep, under, seeds, stands
     (flight,) = near.around("flight", int(STRIDE / width), partial(_flight, config=config), *given)
     (over,) = near.around("over", 0, lambda *given: (given[2] | given[3] | given[4],), wide, low, core)
@@ -333,13 +318,8 @@ def _support(width: float) -> int:
     return int(np.clip(np.ceil(HALF_FOOT / width**2 - 1e-6) - 1, 2, 5))
 
 
-def _grown(
-    near: Beside, core: Strips, keep: Strips, under: Strips, seeds: Strips, rise: float, config: PerceptionConfig
-) -> tuple[Strips, ...]:
-    """What slopes join to the `seeds` among the `core` nodes and their rims: with headroom, and where a low body fits.
-
-    What lies over ground with headroom at less than that is no ground: a bench.
-    """
+def _grown(near: Beside, core: Strips, keep: Strips, under: Strips, seeds: Strips, rise: float) -> tuple[Strips, ...]:
+    """What slopes join to the `seeds` in the `core` and at its rims: with headroom, and where a low body fits."""
     (inner,) = near.around("inner", 0, lambda _, __, core, under: (core & ~under,), core, under)
     pieces = find_pieces(near, "grown", inner, rise)
     (seeded,) = pieces.counts("seeded", seeds)
@@ -347,8 +327,7 @@ def _grown(
 
     def answer(layers: Layers, _: BoolArray, grown: BoolArray, keep: BoolArray) -> tuple[BoolArray, BoolArray]:
         inner = grown & keep
-        wide = inner | joined_to(layers.columns, keep, inner, rise)
-        return wide & ~over_ground(layers, wide, config.step_headroom), grown & ~keep
+        return inner | joined_to(layers.columns, keep, inner, rise), grown & ~keep
 
     return near.around("wide", 1, answer, grown, keep)
 

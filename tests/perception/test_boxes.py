@@ -54,10 +54,9 @@ def room_with(
 def test_a_lid_a_box_and_a_rack_are_no_ground(size: tuple[float, float], z: float, noise: float) -> None:
     low = (1.0, 2.0)
     cloud, top = room_with(low, (low[0] + size[0], low[1] + size[1]), z, noise)
-    ground = gpdf.segment_ground(cloud)
-    assert ground[top].mean() < 0.02
-    assert ground[~top & (np.abs(cloud[:, 2]) < 0.01)].mean() > 0.95
     scene = gpdf.build_scene(cloud)
+    assert scene.ground[top].mean() < 0.02
+    assert scene.ground[~top & (np.abs(cloud[:, 2]) < 0.01)].mean() > 0.95
     beside = gpdf.plan(scene, (0.5, 1.0), (low[0] + 0.5 * size[0], low[1] + 0.5 * size[1]), "human")
     assert beside.status is gpdf.Status.GOAL_OCCUPIED
 
@@ -118,3 +117,20 @@ def test_a_rise_without_a_step_is_ground() -> None:
     away = np.linalg.norm(floor[:, :2] - [3.0, 2.5], axis=1)
     floor[:, 2] = 0.12 * np.maximum(1.0 - (away / 0.8) ** 2, 0.0)
     assert gpdf.segment_ground(floor).mean() > 0.99
+
+
+@pytest.mark.parametrize("noise", [0.002, 0.02])
+def test_a_step_before_a_door_is_ground(noise: float) -> None:
+    """A metre square, and the sill over a fifth of its rim: it leads further up."""
+    low, high, rise = (2.5, 2.0), (3.5, 3.0), 0.17
+    floor, step = plate((0.0, 0.0), (6.0, 3.0), 0.0), plate(low, high, rise)
+    inside = plate((0.0, 3.1), (6.0, 5.0), 2.0 * rise), plate((2.6, 3.0), (3.4, 3.1), 2.0 * rise)
+    wall = np.stack(np.meshgrid(np.arange(0.0, 6.0, SPACING), [3.0], np.arange(0.0, 2.6, SPACING)), axis=-1)
+    wall = wall.reshape(-1, 3)
+    wall = wall[(np.abs(wall[:, 0] - 3.0) > 0.4) | (wall[:, 2] < 2.0 * rise)]
+    under = ((floor[:, :2] > low) & (floor[:, :2] < high)).all(axis=1)
+    cloud = np.concatenate([floor[~under], sides(low, high, rise), *inside, wall, step])
+    cloud += np.random.default_rng(0).normal(0.0, noise, cloud.shape)
+    scene = gpdf.build_scene(cloud)
+    assert scene.ground[-len(step) :].mean() > 0.95
+    assert gpdf.plan(scene, (1.0, 1.0, 0.0), (3.0, 4.5, 2.0 * rise), "human").status is gpdf.Status.OK

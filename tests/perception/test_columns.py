@@ -139,7 +139,7 @@ def highest_band(z):
 def test_columns_are_cut_as_by_hand():
     rng = np.random.default_rng(3)
     points = rng.uniform([0, 0, 0], [2, 2, 3], (500, 3))
-    layers = build_layers(points, 0.25, 0.2, 0.01)
+    layers = build_layers(points, 0.25, 0.2)
     middle, node_of = layers.taken(np.arange(len(layers.cell))).middle, nodes_of(layers, points)
     x, y = np.floor((points[:, :2] - layers.origin) / 0.25).astype(int).T
     cell, node = x * layers.shape[1] + y, 0
@@ -152,7 +152,7 @@ def test_columns_are_cut_as_by_hand():
             assert layers.cell[node] == column
             assert (node_of[part] == node).all()
             assert layers.thickness[node] == z[-1] - z[0]
-            assert middle[node] == (z[(len(z) - 1) // 2] if z[-1] - z[0] <= 0.19 else highest_band(z))
+            assert middle[node] == (z[(len(z) - 1) // 2] if z[-1] - z[0] <= 0.15 else highest_band(z))
             assert layers.headroom[node] == (np.inf if above is None else points[above[0], 2] - z[-1])
             node += 1
     assert node == len(layers.cell)

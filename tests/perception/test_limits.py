@@ -350,7 +350,7 @@ def test_boards_further_than_the_reach_from_a_rise_are_no_ridges_of_its_flight(w
     height[np.random.default_rng(0).random(height.shape) < broken] = 0.0
     beside = height.copy()
     beside[:12] += 1.0
-    off, on = (ridges(surface_of(each, width), MAX_STEP) for each in (height, beside))
+    off, on = (ridges_of(each, width) for each in (height, beside))
     rows = np.flatnonzero((off != on).any(axis=1))
     assert 12 + reach // 2 < rows.max() < 12 + reach
 
