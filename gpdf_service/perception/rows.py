@@ -9,14 +9,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.fields.tree import longer
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 INDEX: Any = np.int32
 """Kind of the numbers of points, nodes and cells where they are many: half of the memory."""
 _NO_POINTS: FloatArray = np.zeros((0, 3))
-_BLOCK = 4096
-"""Rows for which room is made at once: what is found is few, and memory that nobody touches costs nothing."""
 
 
 def hashed(rows: FloatArray) -> NDArray[np.uint64]:
@@ -49,24 +46,14 @@ def more_now(key: NDArray[np.uint64], was: int) -> IntArray:
 
 @njit(cache=True, nogil=True)
 def rows_in_cells(points: FloatArray, origin: FloatArray, cell_width: float, wanted: BoolArray) -> IntArray:
-    """Rows of the points (n, 3) in the `wanted` cells, shape (nx, ny), of a grid; sorted."""
-    found, used = np.empty(1024, np.int64), 0
-    low, high = np.full(2, np.inf), np.full(2, -np.inf)  # [m] around the cells: most points are seen to lie outside
-    for i in range(wanted.shape[0]):
-        for j in range(wanted.shape[1]):
-            if wanted[i, j]:
-                low[0], high[0] = min(low[0], i - 1), max(high[0], i + 2)
-                low[1], high[1] = min(low[1], j - 1), max(high[1], j + 2)
-    low, high = origin + low * cell_width, origin + high * cell_width
-    for row in _rows_between(points, low, high, 0, len(points)):
+    """Rows of the points (n, ≥ 2) in the `wanted` cells, shape (nx, ny), of a grid; sorted."""
+    found, used = np.empty(len(points) + 1, np.int64), 0
+    for row in range(len(points)):
         i = int(np.floor((points[row, 0] - origin[0]) / cell_width))
         j = int(np.floor((points[row, 1] - origin[1]) / cell_width))
-        if 0 <= i < wanted.shape[0] and 0 <= j < wanted.shape[1] and wanted[i, j]:
-            if used == len(found):
-                found = longer(found, 2 * used)
-            found[used] = row
-            used += 1
-    return found[:used]
+        found[used] = row
+        used += int(0 <= i < wanted.shape[0] and 0 <= j < wanted.shape[1] and wanted[i, j])
+    return found[:used].copy()
 
 
 def rows_by_cell(wanted: BoolArray, start: IntArray) -> IntArray:
@@ -75,20 +62,6 @@ def rows_by_cell(wanted: BoolArray, start: IntArray) -> IntArray:
     count = start[cells + 1] - start[cells]
     before = np.concatenate([[0], np.cumsum(count)])
     return np.repeat(start[cells] - before[:-1], count) + np.arange(before[-1])
-
-
-@njit(cache=True, nogil=True)
-def _rows_between(points: FloatArray, low: FloatArray, high: FloatArray, first: int, last: int) -> IntArray:
-    found, used, last = np.empty(2 * _BLOCK, np.int64), 0, min(last, len(points))
-    left, right, near, far = low[0], high[0], low[1], high[1]
-    for begin in range(first, last, _BLOCK):
-        if used + _BLOCK > len(found):
-            found = longer(found, 2 * len(found))
-        for row in range(begin, min(begin + _BLOCK, last)):  # no branch: half of all would be guessed wrong
-            x, y = points[row, 0], points[row, 1]
-            found[used] = row
-            used += int((x >= left) & (x <= right) & (y >= near) & (y <= far))
-    return found[:used].copy()
 
 
 @njit(cache=True, nogil=True)
