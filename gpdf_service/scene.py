@@ -253,13 +253,12 @@ class Scene:
 
     @property
     def sampling(self) -> Sampling | None:
-        """What the next versions keep; none where noise or rough ground asks for each its own.
+        """What the next versions keep; none where noise asks for each its own.
 
         They keep it until `MAX_DRIFT` of the points have changed: what is measured has steps, and a cloud beside one
         must not take another grid with each chair that is moved, nor be noisy with one and clean with the next.
         """
-        clean = self.perceived is not None and (self.labelled or self.perceived.segmentation is not None)
-        return Sampling(self.surfaces[0].cell_width, self.noise) if clean else None
+        return None if self.perceived is None else Sampling(self.surfaces[0].cell_width, self.noise)
 
     @property
     def hidden_height(self) -> float:

@@ -16,7 +16,6 @@ from gpdf_service.fields.spacing import estimate_spacing as estimate_spacing
 from gpdf_service.fields.spacing import thin as thin
 from gpdf_service.fields.traversal import AnyField as AnyField
 from gpdf_service.fields.traversal import FieldArrays as FieldArrays
-from gpdf_service.fields.traversal import nearest_one as nearest_one
 from gpdf_service.fields.traversal import sample_at as sample_at
 from gpdf_service.fields.tree import Tree as Tree
 from gpdf_service.fields.tree import build_tree as build_tree

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.fields.heights import Sums, add_height, clear, fit_heights, make_sums
+from gpdf_service.fields.heights import Sums, add_height, clear, fit_heights
 
 REACH = 11.4
 """[-] Radius of the surroundings over the noise: that of the largest neighbourhood that a point is cured by. What the
@@ -28,12 +28,6 @@ _FEWEST = 12
 def reach_of(width: float, noise: float) -> int:
     """Cells of that width [m] to either side that are looked at where the points have that noise [m]."""
     return max(_RINGS, ceil(REACH * noise / width))
-
-
-@njit(cache=True, nogil=True)
-def make_room() -> Sums:
-    """Room for one fit; made once a batch."""
-    return make_sums()
 
 
 @njit(cache=True, nogil=True)

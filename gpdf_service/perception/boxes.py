@@ -14,7 +14,6 @@ from gpdf_service.types import BoolArray
 Box = tuple[slice, slice]
 """Rows and columns of a grid."""
 WHOLE: Box = (slice(None), slice(None))
-NOWHERE: Box = (slice(0, 0), slice(0, 0))
 
 
 def corner_of(box: Box) -> tuple[int, int]:

@@ -20,7 +20,7 @@ from gpdf_service.fields import build_tree, estimate_spacing
 from gpdf_service.perception.columns import compacted
 from gpdf_service.perception.layers import columns_over, in_steps
 from gpdf_service.perception.rows import bounds_of, cells_of, chosen_rows
-from gpdf_service.perception.segment import Segmentation, first_layers, segment
+from gpdf_service.perception.segment import Segmentation, segment
 from gpdf_service.types import BoolArray, FloatArray
 
 NOISE_STEP = 0.001
@@ -106,7 +106,7 @@ def cure_and_segment(
             return CuredGround(_clean(points, noise), ground, as_it_was=True)
         return _cured(points, ground, noise, sample.spacing)
     if noise <= least:
-        first, segmentation = segment(points, first_layers(points, config), config)
+        first, segmentation = segment(points, config)
         noise = _with_double(points, first, sample, least)
         if noise <= least:
             return CuredGround(_clean(points, noise), first, as_it_was=True, segmentation=segmentation)
@@ -116,7 +116,7 @@ def cure_and_segment(
 def _as_it_was(points: FloatArray, ground: BoolArray | None, config: PerceptionConfig, known: Sampling) -> CuredGround:
     segmentation = None
     if ground is None:
-        ground, segmentation = segment(points, first_layers(points, config, known.width), config)
+        ground, segmentation = segment(points, config, width=known.width)
     return CuredGround(_clean(points, known.noise), ground, as_it_was=True, segmentation=segmentation)
 
 
@@ -152,7 +152,7 @@ def _found(points: FloatArray, noise: float, spacing: float, config: PerceptionC
     """
     cured = denoise(points, None, noise)
     ground, kept = np.zeros(len(points), dtype=bool), chosen_rows(cured.points, ~cured.stray)
-    ground[~cured.stray] = segment(kept, first_layers(kept, config), config, cured.local[~cured.stray])[0]
+    ground[~cured.stray] = segment(kept, config, noise=cured.local[~cured.stray])[0]
     return_explained(points, ~ground, ground, cured, spacing, _APART)
     _settle_stairs(points, ground, cured)
     stray = cured.stray | find_lifted(cured.points, ground, noise, spacing)

@@ -12,7 +12,7 @@ from gpdf_service.perception.holes import CEILING, MAX_HOLE_RADIUS
 from gpdf_service.perception.nearest import nearest_of
 from gpdf_service.perception.rows import extent_within
 from gpdf_service.perception.strides import HALF_FOOT
-from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, without
+from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, count_cells, count_in, without
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 _FACE_REACH = 2
@@ -90,19 +90,16 @@ def hidden_reach(surface: HeightMap) -> int:
 def _discs(centres: NDArray[np.int64], radius: FloatArray, asked: BoolArray) -> BoolArray:
     """Cells nearer to any of the `centres`, shape (k, 2), than its `radius` [cells], shape (nx, ny), of those `asked`.
 
-    A disc in whose square no cell is asked for is passed over: `within` counts them from the corner on.
+    A disc in whose square no cell is asked for is passed over.
     """
     nx, ny = radius.shape
-    covered, within = np.zeros((nx, ny), np.bool_), np.zeros((nx + 1, ny + 1), np.int64)
-    for u in range(nx):
-        for v in range(ny):
-            within[u + 1, v + 1] = within[u, v + 1] + within[u + 1, v] - within[u, v] + asked[u, v]
+    covered, counts = np.zeros((nx, ny), np.bool_), count_cells(asked)
     for k in range(len(centres)):
         x, y = centres[k, 0], centres[k, 1]
         reach = radius[x, y]
         far = int(reach)
         left, right, near, behind = max(x - far, 0), min(x + far + 1, nx), max(y - far, 0), min(y + far + 1, ny)
-        if within[right, behind] - within[left, behind] - within[right, near] + within[left, near] == 0:
+        if count_in(counts, left, right, near, behind) == 0:
             continue
         for u in range(left, right):
             for v in range(near, behind):

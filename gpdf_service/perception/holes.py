@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
+from gpdf_service.fields.heights import make_sums
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.bend import FINE, FLAT, bend_at, make_room, reach_of
+from gpdf_service.perception.bend import FINE, FLAT, bend_at, reach_of
 from gpdf_service.perception.boxes import Box, highest_around, lowest_around, widened, window
 from gpdf_service.perception.columns import by_cell
 from gpdf_service.perception.layers import widest_cell
@@ -245,7 +246,7 @@ def _onto_bends(
     made: NDArray[np.float32],
 ) -> None:
     """Put `cells` that are not at the rim onto the quadric through the seen cells around where it is `flat` [m]."""
-    (nx, ny), sums = height.shape, make_room()
+    (nx, ny), sums = height.shape, make_sums()
     for k in range(begin, end):
         i, j = cells[k] // ny, cells[k] % ny
         if 0 < i < nx - 1 and 0 < j < ny - 1:

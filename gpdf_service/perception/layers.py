@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.fields.threads import run_chunked
+from gpdf_service.fields.threads import run_chunked, run_parallel
 from gpdf_service.perception.boxes import Box, widened, window
 from gpdf_service.perception.columns import (
     Grid,
@@ -31,7 +31,7 @@ from gpdf_service.perception.columns import (
     values_spliced,
     write_nodes,
 )
-from gpdf_service.perception.pairs import Columns, pairs_near
+from gpdf_service.perception.pairs import Columns, pairs_at
 from gpdf_service.perception.rows import INDEX, bounds_of, cells_of, chosen_rows, rows_by_cell
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -338,5 +338,7 @@ Pairs = tuple[IntArray, IntArray]
 
 def connect(layers: Layers, keep: BoolArray, rise: float) -> Pairs:
     """Pairs of kept nodes in neighbouring cells with at most `rise` [m] a cell between them."""
-    pairs: Pairs = pairs_near(layers.start, layers.shape, layers.height, keep, rise * APART, HALF)
-    return pairs
+    own = layers.start, layers.shape, layers.height, keep
+    found = run_parallel(lambda k: pairs_at(*own, rise * APART[k], HALF[k]), range(len(HALF)))
+    a, b = (np.concatenate(ends) for ends in zip(*found, strict=True))
+    return a, b

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.fields.threads import run_parallel
 from gpdf_service.fields.tree import longer
 from gpdf_service.perception.rows import INDEX
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -26,29 +25,11 @@ class Columns(NamedTuple):
     thickness: FloatArray
 
 
-def pairs_near(
-    start: IntArray,
-    shape: tuple[int, int],
-    height: FloatArray,
-    keep: BoolArray,
-    most: FloatArray,
-    offsets: tuple[tuple[int, int], ...],
-) -> tuple[IntArray, IntArray]:
-    """Pairs of kept nodes (a, b), b's cell at one of the `offsets` from a's, whose heights differ by little.
-
-    That is by at most `most` [m], one number an offset.
-    """
-    own = start, shape, height, keep
-    found = run_parallel(lambda k: _pairs_at(*own, float(most[k]), offsets[k]), range(len(offsets)))
-    a, b = (np.concatenate(ends) for ends in zip(*found, strict=True))
-    return a, b
-
-
 @njit(cache=True, nogil=True)
-def _pairs_at(
+def pairs_at(
     start: IntArray, shape: tuple[int, int], height: FloatArray, keep: BoolArray, most: float, offset: tuple[int, int]
 ) -> tuple[IntArray, IntArray]:
-    """`pairs_near` with one offset."""
+    """Pairs of kept nodes (a, b), b's cell at the `offset` from a's, whose heights differ by `most` [m] at most."""
     capacity, used = len(height) + 16, 0
     one, other = np.empty(capacity, INDEX), np.empty(capacity, INDEX)
     dx, dy = offset

@@ -67,7 +67,8 @@ def segment_ground(points: ArrayLike, config: PerceptionConfig | None = None) ->
     """Tell ground from the rest in an unlabelled cloud.
 
     Columns of the cloud are cut into layers; layers that are surfaces, not a wall's face, are joined into patches; from
-    the bulk, the lowest of the large patches, the ground grows over steps. See `find_ground`.
+    the bulk, the lowest of the large patches, the ground grows over steps. See `find_ground`. A noisy cloud is taken as
+    it is; `build_scene` takes the noise out first.
 
     Args:
         points: The cloud, z up [m], shape (n, 3).
@@ -81,7 +82,7 @@ def segment_ground(points: ArrayLike, config: PerceptionConfig | None = None) ->
         NoGroundError: nothing in it is walkable.
     """
     cloud, config = check_points(points), config or PerceptionConfig()
-    return segment(cloud, first_layers(cloud, config), config)[0]
+    return segment(cloud, config)[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,14 +141,14 @@ def first_layers(cloud: FloatArray, config: PerceptionConfig, width: float | Non
 
 
 def segment(
-    cloud: FloatArray, layers: Layers, config: PerceptionConfig, noise: FloatArray | None = None
+    cloud: FloatArray, config: PerceptionConfig, *, width: float | None = None, noise: FloatArray | None = None
 ) -> tuple[BoolArray, Segmentation]:
-    """`segment_ground` of points (n, 3) in their `first_layers`: which are ground, and what that was found from.
+    """`segment_ground` of points (n, 3) in cells of that `width` [m], and what it was found from.
 
     What is no higher over the ground than the `noise` [m], shape (n,), that the points had there is no thing: so much
     can be left of it.
     """
-    relief = LEVEL
+    layers, relief = first_layers(cloud, config, width), LEVEL
     if noise is not None:
         relief = np.zeros(len(layers.cell))
         np.maximum.at(relief, nodes_of(layers, cloud), noise)

@@ -47,7 +47,7 @@ class VoxelSieve:
     def __init__(self, width: float) -> None:
         if not 0.0 < width < np.inf:
             raise CloudError("thin", f"a width of {width!r} m", "It must be positive and finite.")
-        self.width, self.read = width, 0
+        self.width = width
         self._first: FloatArray | None = None
         self._keys = np.zeros(0, np.int64)
         self._points: list[FloatArray] = []
@@ -59,7 +59,6 @@ class VoxelSieve:
         self, points: FloatArray, labels: NDArray[np.integer] | None = None, colours: NDArray[Any] | None = None
     ) -> None:
         """Look at points (n, 3) [m], their labels (n,) and colours (n, 3); those that are not finite are left out."""
-        self.read += len(points)
         if colours is not None:
             self._most[colours.dtype] = max(self._most[colours.dtype], greatest(colours))
         rows = np.flatnonzero(np.isfinite(points.sum(axis=1)))

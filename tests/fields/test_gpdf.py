@@ -11,14 +11,13 @@ from gpdf_service.fields import (
     estimate_spacing,
     find_nearest,
     fit_gpdf,
-    nearest_one,
     sample_at,
     thin,
 )
 from gpdf_service.fields.gpdf import Box
 from gpdf_service.fields.solve import solve_all
 from gpdf_service.fields.threads import MIN_CHUNK
-from gpdf_service.fields.traversal import bracket_at
+from gpdf_service.fields.traversal import bracket_at, nearest_at
 from gpdf_service.fields.tree import change_tree, make_scratch, place_of, tree_of
 
 
@@ -230,7 +229,7 @@ def test_where_squares_overflow_there_is_no_room_whatever_the_domain_says(floor)
 def test_compiled_loops_see_no_room_at_what_is_no_place(floor, place):
     gradient = np.ones(3)
     assert sample_at(floor.arrays, place_of(np.array(place)), make_scratch(), gradient) == 0.0
-    assert nearest_one(floor.tree, np.array(place))[0] == 0.0
+    assert nearest_at(floor.tree, place_of(np.array(place)), make_scratch())[0] == 0.0
     np.testing.assert_array_equal(gradient, 0)
 
 
