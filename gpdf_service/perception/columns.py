@@ -394,10 +394,10 @@ def box_spliced(
     ny: int,
     box: tuple[int, int, int, int],
     made: NDArray[Any],
-) -> int:
+) -> None:
     """Write what is told of nodes of some rows: in a box of cells the `fresh` values, else the `old` ones.
 
-    Returns how many of the fresh ones were written; see `box_unlike`.
+    See `box_unlike`.
     """
     used = 0
     for row in range(cells[0], cells[1], ny):
@@ -409,7 +409,6 @@ def box_spliced(
         at, count = start[left] - start[cells[0]], start[right] - start[left]
         made[at : at + count] = fresh[used : used + count]
         used += count
-    return used
 
 
 def column_floors(start: IntArray, order: IntArray, z: FloatArray, share: float) -> FloatArray:

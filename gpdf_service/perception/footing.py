@@ -49,8 +49,7 @@ def footholds(surface: HeightMap, max_step: float) -> FloatArray:
     A step leads up to a tread, not to the stringer beside it. A sill on a floor is narrower, too, and one steps over
     it. A flight is as in `bridged`, and goes on a stride further: its lowest treads are no step over the floor.
     """
-    flight = widened(flights(surface, max_step), rings_of(STRIDE, surface.cell_width))
-    return _without_ridges(surface, flight).astype(np.float64)
+    return _without_ridges(surface, _flight_and_stride(surface, max_step)).astype(np.float64)
 
 
 def ridges(surface: HeightMap, max_step: float, pits: NDArray[np.float32], drops: BoolArray) -> BoolArray:
@@ -67,13 +66,17 @@ def ridges(surface: HeightMap, max_step: float, pits: NDArray[np.float32], drops
         drops: Unknown cells under which something was seen deeper than a step, shape (nx, ny).
     """
     beside = np.where(drops & (surface.state == UNKNOWN), _DROP, pits)
-    flight = widened(flights(surface, max_step), rings_of(STRIDE, surface.cell_width))
+    flight = _flight_and_stride(surface, max_step)
     over = surface.height > _without_ridges(surface, flight)  # NaN, where it is unknown, compares false
     over |= surface.height > _without_ridges(surface, flight, beside)
     piece, count = ndimage.label(over, np.ones((3, 3)))
     long = np.bincount(piece.ravel(), minlength=count + 1) * surface.cell_width >= _LIMITS.tread_depth - 1e-6
     found: BoolArray = over & long[piece]
     return found
+
+
+def _flight_and_stride(surface: HeightMap, max_step: float) -> BoolArray:
+    return widened(flights(surface, max_step), rings_of(STRIDE, surface.cell_width))
 
 
 def _without_ridges(
@@ -100,7 +103,7 @@ def _lower_ridges(
     for cell in cells:
         x, y = cell // beside.shape[1], cell % beside.shape[1]
         own = ground.height[x, y]
-        low, high = own - np.float32(ROUGH), own + np.float32(FLIGHT_RISE)
+        low, high, lowered = own - np.float32(ROUGH), own + np.float32(FLIGHT_RISE), float(own)
         for dx, dy in HALF:
             sole = SOLE / (ground.width * np.hypot(dx, dy))
             widest, foot = max(1, round(sole)), max(1, round(2.0 * sole))
@@ -110,8 +113,10 @@ def _lower_ridges(
                     continue
                 for behind in range(1, widest + 2 - ahead):
                     other = _highest_along(beside, (x, y), (-dx, -dy), (behind, foot), high)
-                    if other < low and (not along or _falls_aside(beside, ground, (x, y))):
-                        made[x, y] = min(made[x, y], max(side, other))
+                    if other < low:
+                        lowered = min(lowered, max(side, other))
+        if lowered < low and (not along or _falls_aside(beside, ground, (x, y))):
+            made[x, y] = lowered
 
 
 @njit(cache=True, nogil=True)
