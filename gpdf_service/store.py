@@ -58,7 +58,7 @@ def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]
                 with stored.open(_META + _PLAIN, "w") as entry:
                     np.lib.format.write_array(entry, np.frombuffer(header, np.uint8), allow_pickle=False)
                 for name, (_, raw) in packed.items():
-                    stored.writestr(name, raw)
+                    stored.writestr(zipfile.ZipInfo(name), raw)  # without the time, so that a scene's bytes are its own
             file.flush()
             os.fsync(file.fileno())
         Path(temporary).replace(target)
