@@ -54,20 +54,6 @@ def numbered(parent: IntArray) -> IntArray:
 
 
 @njit(cache=True, nogil=True)
-def numbered_apart(label: IntArray, among: BoolArray) -> IntArray:
-    """The labels of nodes `among` all, and one of its own for any other node, numbered by their first nodes, (k,)."""
-    number, made, used = np.full(label.max() + 1, -1), np.empty(len(label), np.int64), 0
-    for i in range(len(label)):
-        if among[i] and number[label[i]] >= 0:
-            made[i] = number[label[i]]
-            continue
-        if among[i]:
-            number[label[i]] = used
-        made[i], used = used, used + 1
-    return made
-
-
-@njit(cache=True, nogil=True)
 def heights_of(label: IntArray, height: FloatArray, labels: int) -> FloatArray:
     """How many nodes have each label, and the sum of their heights [m], shape (labels, 2)."""
     sums = np.zeros((labels, 2))
@@ -478,17 +464,40 @@ def joined_to(columns: Columns, among: BoolArray, others: BoolArray, rise: float
 
 
 @njit(cache=True, nogil=True)
-def pairs_unlike(columns: Columns, keep: BoolArray, label: IntArray, step: float) -> tuple[IntArray, IntArray]:
-    """Pairs of kept nodes beside each other, with at most a `step` [m] between and another label each."""
-    cell, start, (nx, ny), height, _ = columns
-    one, other = [INDEX(0) for _ in range(0)], [INDEX(0) for _ in range(0)]
-    for i in np.flatnonzero(keep):
-        x, y = cell[i] // ny, cell[i] % ny
-        for dx, dy in AROUND[4:]:
-            if x + dx < nx and 0 <= y + dy < ny:
-                there = (x + dx) * ny + y + dy
-                for j in range(start[there], start[there + 1]):
-                    if keep[j] and label[i] != label[j] and abs(height[i] - height[j]) <= step:
-                        one.append(INDEX(i))
-                        other.append(INDEX(j))
-    return np.array(one, INDEX), np.array(other, INDEX)
+def attach(
+    cell: IntArray,
+    shape: tuple[int, int],
+    pairs: tuple[IntArray, IntArray],
+    pieces: tuple[IntArray, IntArray, IntArray],
+    sheet: int,
+    sheet_of: IntArray,
+) -> None:
+    """Write into `sheet_of` each node's, (k,), what a `sheet` gets: pieces beside it that do not lie over it.
+
+    One after another, as long as any is found.
+
+    Args:
+        cell: Of each node.
+        shape: Of the grid.
+        pairs: Nodes that are beside each other.
+        pieces: Piece of each node, where each one's begin among the nodes in order, and these.
+        sheet: Number of the sheet.
+        sheet_of: That of each node, -1 where it has none yet.
+    """
+    piece, start, members = pieces
+    taken, beside = np.zeros(shape[0] * shape[1], np.bool_), np.ones(1, np.int64)
+    taken[cell[sheet_of == sheet]] = True
+    while len(beside):
+        near, grown = np.zeros(len(start), np.bool_), False
+        for k in range(len(pairs[0])):
+            for i, j in ((pairs[0][k], pairs[1][k]), (pairs[1][k], pairs[0][k])):
+                near[piece[i]] |= sheet_of[i] < 0 and sheet_of[j] == sheet
+        beside = np.flatnonzero(near)
+        for p in beside:
+            own = members[start[p] : start[p + 1]]
+            own = own[sheet_of[own] < 0]
+            cells = cell[own]  # ascending, as nodes are
+            if not taken[cells].any() and (np.diff(cells) > 0).all():
+                sheet_of[own], taken[cells], grown = sheet, True, True
+        if not grown:
+            return

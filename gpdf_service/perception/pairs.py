@@ -89,16 +89,17 @@ def _sort(values: FloatArray, begin: int, end: int) -> None:
 
 
 @njit(cache=True, nogil=True)
-def pairs_over_gaps(
-    columns: Columns, keep: BoolArray, rise: float, offset: tuple[int, int], most: int
+def steps_over_gaps(
+    columns: Columns, keep: BoolArray, limits: tuple[float, float], offset: tuple[int, int], most: int
 ) -> tuple[IntArray, IntArray]:
-    """Pairs of kept nodes within `rise` [m] that a gap parts.
+    """Pairs of kept nodes between which a step is, or that a gap parts.
 
-    A gap has up to `most` cells of which nothing was seen as low. The nose of a tread hides the back of the next one; a
-    hole that one looks through into something is no gap. The `offset` is that of neighbouring cells on the line.
+    A step is more than the first of the `limits`, and neither is more than the second [m]. A gap has up to `most` cells
+    of which nothing was seen as low. The nose of a tread hides the back of the next one; a hole that one looks through
+    into something is no gap. The `offset` is that of neighbouring cells on the line.
     """
     one, other = [INDEX(0) for _ in range(0)], [INDEX(0) for _ in range(0)]
-    cell, start, (nx, ny), height, _ = columns
+    (cell, start, (nx, ny), height, _), (slope, step) = columns, limits
     dx, dy = offset
     for a in np.flatnonzero(keep):
         x, y = cell[a] // ny, cell[a] % ny
@@ -107,10 +108,11 @@ def pairs_over_gaps(
             if not (0 <= u < nx and 0 <= v < ny):
                 break
             begin, end = start[u * ny + v], start[u * ny + v + 1]
-            if begin == end or height[begin] > height[a] + rise:
+            if begin == end or height[begin] > height[a] + step:
                 continue
-            for b in range(begin, end if far > 1 else begin):
-                if keep[b] and abs(height[a] - height[b]) <= rise:
+            least = slope if far == 1 else -1.0
+            for b in range(begin, end):
+                if keep[b] and least < abs(height[a] - height[b]) <= step:
                     one.append(INDEX(a))
                     other.append(INDEX(b))
             break

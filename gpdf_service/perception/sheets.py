@@ -7,26 +7,25 @@ from functools import partial
 import numpy as np
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.perception.beside import Answer, Beside
+from gpdf_service.perception.beside import Answer, Beside, Strips
 from gpdf_service.perception.columns import by_cell
 from gpdf_service.perception.layers import APART, HALF, Layers, Pairs, connect
 from gpdf_service.perception.nodes import (
+    attach,
     components,
     degrees,
     ends_at,
-    extents_in_plan,
+    extents_of,
     grown_sheet,
     joined_to,
     mark_nearest,
-    numbered_apart,
-    pairs_unlike,
-    touched_by,
+    plan_sums,
     whole_around,
 )
-from gpdf_service.perception.pairs import pairs_over_gaps
-from gpdf_service.perception.pieces import find_pieces
+from gpdf_service.perception.pairs import steps_over_gaps
+from gpdf_service.perception.pieces import Pieces, find_pieces
 from gpdf_service.perception.segment import over_ground
-from gpdf_service.types import BoolArray, IntArray
+from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 OVERLAP = 1.2
 """[m] How far a sheet reaches into the next: twice the largest body's radius, so that a body fits where they meet."""
@@ -43,53 +42,56 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
     keep = np.concatenate(kept)
     if (np.diff(layers.cell[keep]) > 0).all():
         return (keep,)
-    smooth = numbered_apart(find_pieces(near, "smooth", kept, layers.cell_width).whole, keep)
-    steps = pairs_unlike(layers.columns, keep, smooth, config.max_step)
-    one, other = (np.concatenate(ends) for ends in zip(steps, _over_gaps(layers, keep, smooth, config), strict=True))
+    smooth = find_pieces(near, "smooth", kept, layers.cell_width)
+    piece, size = smooth.whole, smooth.counts("smooth", kept)[0]
+    start, members = by_cell(piece, len(size) + 1)
+    steps = _steps(near, kept, piece, config)
     sheet_of = np.full(count, -1)
-    size = np.bincount(smooth, weights=keep)
-    order = np.argsort(-size)
-    start, members = by_cell(smooth, len(size))
     least = max(9, int(0.001 * count))  # a patch smaller than three cells square holds no foot
     sheets = 0
-    for seed in order[size[order] > 0]:
+    for seed in np.argsort(-size, kind="stable"):
         own = members[start[seed] : start[seed + 1]]
         left = own[sheet_of[own] < 0]
         while len(left) >= (least if len(left) < len(own) else 1):
             sheet_of[_lowest_of(layers, left, least)] = sheets
-            _attach(layers, (one, other), (smooth, start, members), sheet_of, sheets)
+            attach(layers.cell, layers.shape, steps, (piece, start, members), sheets, sheet_of)
             sheets += 1
             left = own[sheet_of[own] < 0]
-    made = [np.flatnonzero(sheet_of == i) for i in range(sheets)]
     rings = int(np.ceil(OVERLAP / layers.cell_width))
 
-    def grow(name: str, nodes: IntArray) -> BoolArray:
-        strips = near.among(name, nodes)
-        sheet, beside = np.concatenate(strips), near.around(f"beside {name}", 1, rims, kept, strips)[0]
+    def grow(name: str, sheet: BoolArray) -> BoolArray:
+        beside = near.around(f"beside {name}", 1, rims, kept, near.given(name, sheet))[0]
         return grown_sheet(layers.columns, keep, sheet, near.where(f"beside {name}", beside)[0], config.max_step, rings)
 
     def rims(layers: Layers, _: BoolArray, keep: BoolArray, sheet: BoolArray) -> Answer:
         return (joined_to(layers.columns, keep & ~sheet, sheet, 0.0, config.max_step),)
 
-    large = [nodes for nodes in made if len(nodes) >= least]
-    grown = [grow(f"sheet {i}", nodes) for i, nodes in enumerate(large)]
-    seams = [grow(f"seam {i}", nodes) for i, nodes in enumerate(_seams(near, keep, grown, config, rings))]
+    large = [i for i in range(sheets) if np.count_nonzero(sheet_of == i) >= least]
+    grown = [grow(f"sheet {i}", sheet_of == k) for i, k in enumerate(large)]
+    seams = [grow(f"seam {i}", nodes) for i, nodes in enumerate(_seams(near, kept, grown, config, rings))]
     grown = [*grown, *(inside for inside in seams if np.count_nonzero(inside) >= least)]
     return tuple(sorted(grown, key=lambda inside: float(np.median(layers.height[inside]))))
 
 
-def _over_gaps(layers: Layers, keep: BoolArray, label: IntArray, config: PerceptionConfig) -> Pairs:
-    """Steps between kept nodes with another `label` each that a gap parts, in which less than a foot fits."""
-    far = (config.tread_depth / (APART * layers.cell_width)).astype(int)
-    found = [pairs_over_gaps(layers.columns, keep, config.max_step, HALF[k], far[k]) for k in range(len(HALF))]
-    a, b = (np.concatenate(ends) for ends in zip(*found, strict=True))
-    other = label[a] != label[b]
+def _steps(near: Beside, kept: Strips, piece: IntArray, config: PerceptionConfig) -> Pairs:
+    """Steps between kept nodes of another `piece` each, over gaps, too, in which less than a foot fits."""
+    width = near.layers.cell_width
+    far = (config.tread_depth / (APART * width)).astype(int)
+
+    def steps(layers: Layers, keep: BoolArray) -> Pairs:
+        limits = [(width * apart, config.max_step) for apart in APART]
+        found = [steps_over_gaps(layers.columns, keep, limits[k], HALF[k], far[k]) for k in range(len(HALF))]
+        one, other = (np.concatenate(ends) for ends in zip(*found, strict=True))
+        return one, other
+
+    a, b = near.joins("steps of sheets", int(far.max()) + 1, steps, kept)
+    other = piece[a] != piece[b]
     return a[other], b[other]
 
 
 def _seams(
-    near: Beside, keep: BoolArray, sheets: list[BoolArray], config: PerceptionConfig, rings: int
-) -> list[IntArray]:
+    near: Beside, kept: Strips, sheets: list[BoolArray], config: PerceptionConfig, rings: int
+) -> list[BoolArray]:
     """Nodes of further sheets, so that a body finds all ground around each place in one of them.
 
     A sheet that lies over its own end has no room to reach into the next: the upper floor's, which goes down a stair
@@ -97,24 +99,27 @@ def _seams(
     """
     layers = near.layers
 
-    def pieces(name: str, nodes: BoolArray) -> tuple[IntArray, BoolArray]:
+    def pieces(name: str, nodes: Strips) -> tuple[Pieces, BoolArray]:
         """Pieces of nodes that steps join, and which of them a foot fits on: a rim of single cells is no ground."""
-        piece = find_pieces(near, name, near.given(f"{name} nodes", nodes), 0.0, config.max_step).whole
-        depth = extents_in_plan(layers.cell, layers.shape[1], nodes, piece, layers.cell_width)[1]
-        return piece, depth >= config.tread_depth
+
+        def add(own: slice, label: IntArray, labels: int, nodes: BoolArray) -> FloatArray:
+            return plan_sums(layers.cell[own], layers.shape[1], nodes, label, labels)
+
+        found = find_pieces(near, name, nodes, 0.0, config.max_step)
+        return found, extents_of(found.totals(name, add, nodes), layers.cell_width)[1] >= config.tread_depth
 
     def ends(layers: Layers, _: BoolArray, sheet: BoolArray, beyond: BoolArray) -> Answer:
         return (ends_at(layers.columns, sheet, beyond, config.max_step),)
 
-    left = keep.copy()
+    left = np.concatenate(kept)
     for i, sheet in enumerate(sheets):
-        piece, deep = pieces(f"beyond sheet {i}", keep & ~sheet)
-        deep_beyond = near.given(f"deep beyond sheet {i}", keep & ~sheet & deep[piece])
-        given = near.given(f"whole sheet {i}", sheet), deep_beyond
-        end = np.concatenate(near.around(f"ends of sheet {i}", 1, ends, *given)[0])
-        left &= ~whole_around(layers.columns, sheet, end, config.max_step, rings // 2)
-    piece, deep = pieces("left of sheets", left)
-    return [_first_of_each_cell(layers, np.flatnonzero(left & (piece == label))) for label in np.flatnonzero(deep)]
+        own = near.given(f"whole sheet {i}", sheet)
+        (beyond,) = near.around(f"beyond sheet {i}", 0, lambda _, __, keep, own: (keep & ~own,), kept, own)
+        found, deep = pieces(f"beyond sheet {i}", beyond)
+        end = near.around(f"ends of sheet {i}", 1, ends, own, found.chosen(f"deep beyond sheet {i}", deep))[0]
+        left &= ~whole_around(layers.columns, sheet, np.concatenate(end), config.max_step, rings // 2)
+    found, deep = pieces("left of sheets", near.given("left of sheets", left))
+    return [_first_of_each_cell(layers, found.whole == label) for label in np.flatnonzero(deep)]
 
 
 def _kept(layers: Layers, _: BoolArray, headroom: float) -> Answer:
@@ -135,8 +140,11 @@ def _under_step(layers: Layers, headroom: float) -> BoolArray:
     return foot
 
 
-def _first_of_each_cell(layers: Layers, nodes: IntArray) -> IntArray:
-    return nodes[np.unique(layers.cell[nodes], return_index=True)[1]]
+def _first_of_each_cell(layers: Layers, nodes: BoolArray) -> BoolArray:
+    rows = np.flatnonzero(nodes)
+    made = np.zeros_like(nodes)
+    made[rows[np.unique(layers.cell[rows], return_index=True)[1]]] = True
+    return made
 
 
 def _lowest_of(layers: Layers, piece: IntArray, least: int) -> IntArray:
@@ -165,24 +173,3 @@ def _lowest_of(layers: Layers, piece: IntArray, least: int) -> IntArray:
     part = components(*slopes, low)[piece]
     floors: IntArray = piece[low[piece] & (part == np.bincount(part[low[piece]]).argmax())]
     return floors
-
-
-def _attach(
-    layers: Layers, pairs: Pairs, pieces: tuple[IntArray, IntArray, IntArray], sheet_of: IntArray, sheet: int
-) -> None:
-    """Add to a sheet, one after another, the smooth pieces beside it that do not lie over it."""
-    smooth, start, members = pieces
-    taken = np.zeros(layers.shape[0] * layers.shape[1], dtype=bool)
-    taken[layers.cell[sheet_of == sheet]] = True
-    while True:
-        grown = False
-        for piece in np.unique(smooth[touched_by(*pairs, sheet_of < 0, sheet_of == sheet)]):
-            nodes = members[start[piece] : start[piece + 1]]
-            nodes = nodes[sheet_of[nodes] < 0]
-            cells = layers.cell[nodes]  # ascending, as nodes are
-            if not taken[cells].any() and (np.diff(cells) > 0).all():
-                sheet_of[nodes] = sheet
-                taken[cells] = True
-                grown = True
-        if not grown:
-            return

@@ -14,6 +14,7 @@ from gpdf_service.perception.bumps import raised_over_sides
 from gpdf_service.perception.columns import ends_in_plan, put_heights_in_plan
 from gpdf_service.perception.layers import build_layers, connect, crop_layers, steady
 from gpdf_service.perception.nodes import (
+    attach,
     components,
     drops_beside,
     ends_at,
@@ -23,11 +24,9 @@ from gpdf_service.perception.nodes import (
     lowest_beside,
     mean_gradients,
     nodes_over,
-    numbered_apart,
-    pairs_unlike,
     plan_sums,
 )
-from gpdf_service.perception.pairs import AROUND
+from gpdf_service.perception.pairs import AROUND, steps_over_gaps
 from gpdf_service.perception.pieces import find_pieces
 from gpdf_service.perception.strides import find_stances, find_strides
 
@@ -99,21 +98,51 @@ def test_ends_of_a_sheet_are_those_of_all_pairs(layers):
     rng, count = np.random.default_rng(11), len(layers.cell)
     inside = rng.random(count) < 0.4
     beyond = ~inside & (rng.random(count) < 0.5)
-    joined, ends, unlike = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool), set()
-    label = np.arange(count) // 7
+    joined, ends = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
     for i, j, _ in pairs(layers):
         if abs(layers.height[i] - layers.height[j]) > 0.25:
             continue
         had = inside & (layers.cell == layers.cell[j]) & (np.abs(layers.height - layers.height[i]) <= 0.25)
         joined[i] |= inside[i] & beyond[j]
         ends[i] |= inside[i] & beyond[j] & ~had.any()
-        if label[i] != label[j] and not beyond[i] and not beyond[j]:
-            unlike.add((min(i, j), max(i, j)))
     np.testing.assert_array_equal(joined_to(layers.columns, inside, beyond, 0.0, 0.25), joined)
     np.testing.assert_array_equal(ends_at(layers.columns, inside, beyond, 0.25), ends)
-    found = np.sort(np.column_stack(pairs_unlike(layers.columns, ~beyond, label, 0.25)), axis=1)
-    assert set(map(tuple, found.tolist())) == unlike
     assert 10 < ends.sum() < joined.sum()
+
+
+@pytest.mark.parametrize("offset", [(1, 0), (0, 1), (1, -1)])
+def test_steps_and_gaps_are_those_of_each_line_of_cells(layers, offset):
+    keep, found = np.random.default_rng(2).random(len(layers.cell)) < 0.5, set()
+    x, y = np.divmod(layers.cell, layers.shape[1])
+    for i in np.flatnonzero(keep):
+        for far in (1, 2, 3):
+            there = np.flatnonzero((x == x[i] + far * offset[0]) & (y == y[i] + far * offset[1]))
+            rise = np.abs(layers.height[there] - layers.height[i])
+            if not (layers.height[there] <= layers.height[i] + 0.4).any():  # all that was seen there is higher
+                continue
+            near = keep[there] & (rise <= 0.4) & ((rise > 0.1) | (far > 1))
+            found |= {(int(i), int(j)) for j in there[near]}
+            break
+    ends = steps_over_gaps(layers.columns, keep, (0.1, 0.4), offset, 2)
+    assert set(zip(*(each.tolist() for each in ends), strict=True)) == found
+    assert len(found) > 20
+
+
+def test_a_sheet_gets_the_pieces_beside_it_that_lie_over_nothing_of_it():
+    """Pieces a, b, c, d in a row of cells; c lies over a, e over itself; f is joined to d alone."""
+    pieces = {"a": [0, 1], "b": [2], "c": [3, 0], "d": [4], "e": [5, 5], "f": [6], "g": [7]}
+    nodes = sorted((cell, name) for name, cells in pieces.items() for cell in cells)
+    names, cell = sorted(pieces), np.array([cell for cell, _ in nodes])
+    piece = np.array([names.index(name) for _, name in nodes])
+    first = {name: next(i for i, node in enumerate(nodes) if node[1] == name) for name in names}
+    pairs = np.array([(first[a], first[b]) for a, b in ("ab", "bc", "bd", "de", "df", "ga")]).T
+    start = np.searchsorted(np.sort(piece), np.arange(len(names) + 1))
+    sheet_of = np.where(piece == 0, 3, -1)
+    sheet_of[first["g"]] = 1
+    attach(cell, (1, 8), (pairs[0], pairs[1]), (piece, start, np.argsort(piece, kind="stable")), 3, sheet_of)
+    assert {names[p] for p in piece[sheet_of == 3]} == {"a", "b", "d", "f"}
+    assert (sheet_of[piece == names.index("c")] == -1).all()
+    assert sheet_of[first["g"]] == 1
 
 
 def ask(near, far, config, looked=None):
@@ -221,17 +250,6 @@ def test_what_comes_out_as_it_was_is_what_it_was_and_none_older_is_kept(strips):
 def in_order(pairs):
     rows = np.column_stack(pairs)
     return rows[np.lexsort(rows.T)]
-
-
-def test_labels_among_some_nodes_and_one_for_each_other_are_numbered_by_their_first_nodes():
-    rng = np.random.default_rng(8)
-    label, among = rng.integers(0, 40, 60), rng.random(60) < 0.5
-    apart = np.where(among, label, 100 + np.arange(60))
-    found = numbered_apart(label, among)
-    first = np.unique(apart, return_index=True)[1]
-    np.testing.assert_array_equal(
-        found, np.searchsorted(np.sort(first), first)[np.unique(apart, return_inverse=True)[1]]
-    )
 
 
 def test_sums_in_plan_and_heights_in_plan_are_those_of_numpy(layers):
