@@ -10,9 +10,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from gpdf_service.clouds import read_cloud as read_cloud
     from gpdf_service.config import Config as Config
     from gpdf_service.errors import GpdfError as GpdfError
-    from gpdf_service.perception import read_cloud as read_cloud
     from gpdf_service.perception import segment_ground as segment_ground
     from gpdf_service.pipeline import build_scene as build_scene
     from gpdf_service.pipeline import plan as plan
@@ -30,7 +30,7 @@ __version__ = "0.1.0"
 _WHERE = {
     "Config": "config",
     "GpdfError": "errors",
-    "read_cloud": "perception",
+    "read_cloud": "clouds",
     "segment_ground": "perception",
     "build_scene": "pipeline",
     "plan": "pipeline",

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gpdf_service.baselines import plan_baseline
+from gpdf_service.clouds import check_labels, check_points
 from gpdf_service.config import Config
 from gpdf_service.errors import ConfigError, RequestError
-from gpdf_service.perception import check_labels, check_origins, check_points
+from gpdf_service.perception import check_origins
 from gpdf_service.planning import plan_path
 from gpdf_service.scene import Progress as Progress
 from gpdf_service.scene import Scene, assemble_scene

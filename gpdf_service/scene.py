@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import binary_fill_holes
 
+from gpdf_service.clouds import check_finite, check_labels, check_points
 from gpdf_service.config import Config
 from gpdf_service.denoise import FAR
 from gpdf_service.errors import CloudError, SceneFileError
@@ -25,7 +26,6 @@ from gpdf_service.fields.threads import run_parallel
 from gpdf_service.kernel_cache import load_kept
 from gpdf_service.perception import (
     GroundLevel,
-    HeightMap,
     Levels,
     Perceived,
     Rays,
@@ -35,10 +35,7 @@ from gpdf_service.perception import (
     WholeError,
     are_voxels,
     change,
-    check_finite,
-    check_labels,
     check_origins,
-    check_points,
     count_undecided,
     cure_and_segment,
     levels_from_arrays,
@@ -47,12 +44,8 @@ from gpdf_service.perception import (
 )
 from gpdf_service.perception.budget import give_back
 from gpdf_service.perception.cure import NOISE_STEP
-from gpdf_service.perception.layers import in_steps
 from gpdf_service.perception.ledges import LEAST_OBSTACLE
-from gpdf_service.perception.points import Points, points_of
-from gpdf_service.perception.rows import chosen_rows
 from gpdf_service.perception.segment import LEAST_SCATTER
-from gpdf_service.perception.surface import INFERRED, UNKNOWN, is_same_ground
 from gpdf_service.search import (
     FreeSpace,
     Prefer,
@@ -67,6 +60,11 @@ from gpdf_service.search import (
 )
 from gpdf_service.shades import Shades
 from gpdf_service.store import Arrays, flatten, read_arrays, restore, under, write_arrays
+from gpdf_service.tiles import HeightMap
+from gpdf_service.tiles.layers import in_steps
+from gpdf_service.tiles.points import Points, points_of
+from gpdf_service.tiles.rows import chosen_rows
+from gpdf_service.tiles.surface import INFERRED, UNKNOWN, is_same_ground
 from gpdf_service.types import Agent, BoolArray, FieldSample, FloatArray, IntArray, resolve_agent
 
 Progress = Callable[[str, float], None]

@@ -24,7 +24,7 @@ LONGEST = (
     "test_kernel_cache.py",
     "perception/test_storeys.py",
     "test_update.py",
-    "perception/test_formats.py",
+    "clouds/test_formats.py",
     "search/test_moved.py",
     "synthetic/test_made_places.py",
     "test_noise.py",

@@ -182,7 +182,7 @@ def test_the_file_that_says_how_to_serve_says_how_to_build_as_well(tmp_path, cap
 
 @pytest.mark.parametrize("verb", ["build", "crop --box 0,0,1,1", "merge x.npz"])
 def test_a_folder_that_is_not_there_is_told_before_the_work(tmp_path, capsys, monkeypatch, verb):
-    monkeypatch.setattr("gpdf_service.perception.read_cloud", None)
+    monkeypatch.setattr("gpdf_service.clouds.read_cloud", None)
     assert main(["scene", *verb.split(), "x.npz", "--out", str(tmp_path / "none" / "x.gpdf")]) == 1
     assert "its folder is not there" in capsys.readouterr().err
 
@@ -291,7 +291,7 @@ def test_whoever_stops_reading_ends_it_quietly(tmp_path):
 
 @pytest.mark.parametrize("verb", ["plan --start 1,1 --goal 2,2", "scene info", "scene build"])
 def test_an_unknown_body_is_told_before_the_work(verb, capsys, monkeypatch):
-    monkeypatch.setattr("gpdf_service.perception.read_cloud", None)
+    monkeypatch.setattr("gpdf_service.clouds.read_cloud", None)
     words = verb.split()
     count = 2 if words[0] == "scene" else 1
     assert main([*words[:count], "x.npz", *words[count:], "--agent", "rhino"]) == 1
@@ -299,7 +299,7 @@ def test_an_unknown_body_is_told_before_the_work(verb, capsys, monkeypatch):
 
 
 def test_a_picture_that_cannot_be_written_is_told_before_the_work(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("gpdf_service.perception.read_cloud", None)
+    monkeypatch.setattr("gpdf_service.clouds.read_cloud", None)
     for target, said in ((tmp_path / "none" / "x.png", "its folder is not there"), (tmp_path, "it may not be written")):
         assert main(["plan", "x.npz", "--start", "1,1", "--goal", "2,2", "--png", str(target)]) == 1
         assert said in capsys.readouterr().err

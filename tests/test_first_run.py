@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from gpdf_service.cli import main
-from gpdf_service.perception.formats import SYSTEM_LIBRARIES
+from gpdf_service.clouds.formats import SYSTEM_LIBRARIES
 
 WITHOUT = """
 import sys

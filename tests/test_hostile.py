@@ -9,9 +9,9 @@ import gpdf_service as gpdf
 from gpdf_service.bench.hostile import measure_all
 from gpdf_service.config import Config, PerceptionConfig
 from gpdf_service.errors import NoGroundError, TooLargeError
-from gpdf_service.perception.columns import compacted
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.synthetic.hostile import KINDS, hostile_clouds
+from gpdf_service.tiles.columns import compacted
 
 CORNERS = np.array([[x, y, 0.0] for x in (0.0, 4900.0) for y in (0.0, 4900.0)])
 

@@ -19,14 +19,16 @@ ALLOWED = {
     "store": {"errors", "packing"},
     "fields": BASE,
     "denoise": BASE | {"fields"},
-    "perception": BASE | {"denoise", "fields", "store"},
+    "tiles": BASE | {"fields"},
+    "clouds": BASE | {"tiles"},
+    "perception": BASE | {"clouds", "denoise", "fields", "store", "tiles"},
     "synthetic": BASE,
-    "search": BASE | {"fields", "perception", "store"},
-    "planning": BASE | {"fields", "perception", "search"},
+    "search": BASE | {"fields", "perception", "store", "tiles"},
+    "planning": BASE | {"fields", "perception", "search", "tiles"},
     "shades": BASE | {"fields"},
-    "scene": BASE | {"denoise", "fields", "perception", "search", "shades", "store"},
-    "baselines": BASE | {"fields", "perception", "search", "planning", "scene"},
-    "pipeline": BASE | {"baselines", "fields", "perception", "planning", "scene", "shades"},
+    "scene": BASE | {"clouds", "denoise", "fields", "perception", "search", "shades", "store", "tiles"},
+    "baselines": BASE | {"fields", "perception", "search", "planning", "scene", "tiles"},
+    "pipeline": BASE | {"baselines", "clouds", "fields", "perception", "planning", "scene", "shades", "tiles"},
 }
 CLIENTS = {"gpdf_client", "gpdf_guidance", "gpdf_robot", "gpdf_ros2"}
 WIRE = {"zenoh", "msgpack", "msgspec", "mcap", "gpdf_schemas"} | CLIENTS
@@ -74,7 +76,7 @@ def test_those_who_judge_share_no_code_with_the_planner(name):
 
 
 def test_the_operators_page_is_a_client_and_imports_no_planning():
-    data, logs, files = "gpdf_service.types", "gpdf_service.service.replay", "gpdf_service.perception"
+    data, logs, files = "gpdf_service.types", "gpdf_service.service.replay", "gpdf_service.clouds"
     allowed = {data, logs, files, "gpdf_service.errors", "gpdf_service.ports"}
     pages = [path for path in files_of("viewer") if path.name != "picture.py"]  # pictures are drawn from scenes
     assert len(pages) > 5

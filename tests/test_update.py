@@ -7,11 +7,11 @@ import gpdf_service as gpdf
 from gpdf_service.bench.build_changes import differences
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import CloudError, NoGroundError
-from gpdf_service.perception.layers import cell_width_of
 from gpdf_service.scene import assemble_scene
 from gpdf_service.synthetic import SCENES
 from gpdf_service.synthetic.scenes import cave, ramp, random_room, stair
 from gpdf_service.synthetic.world import Box
+from gpdf_service.tiles.layers import cell_width_of
 
 
 @pytest.fixture(scope="module")
@@ -228,7 +228,7 @@ def from_scratch(scene):
 )
 def test_random_changes_equal_a_scene_from_scratch(made, labelled, agents, tile, monkeypatch):
     """Whatever the tiles in which a change asks again what differs."""
-    monkeypatch.setattr("gpdf_service.perception.told.TILE", tile)
+    monkeypatch.setattr("gpdf_service.tiles.told.TILE", tile)
     rng = np.random.default_rng(7)
     sample = made(rng)
     scene = gpdf.build_scene(sample.points, sample.ground if labelled else None)

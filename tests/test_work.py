@@ -12,7 +12,7 @@ import pytest
 
 from gpdf_service.cli import inputs, work
 from gpdf_service.cli.work import Work
-from gpdf_service.perception.frame import UP
+from gpdf_service.clouds.frame import UP
 
 LIGHT = (
     "plan",

@@ -18,7 +18,7 @@ import numpy as np
 from gpdf_service.cli import main as gpdf
 from gpdf_service.types import FloatArray
 
-sys.path.insert(0, str(Path(__file__).parent.parent.parent / "tests" / "perception"))
+sys.path.insert(0, str(Path(__file__).parent.parent.parent / "tests" / "clouds"))
 from test_formats import CENTIMETRES, HOLDS_NAN, OFFICE, WITH_NAN, WRITERS, Y_UP, boxes, write_text
 
 KINDS = (".ply", ".pcd", ".xyz", ".csv", ".npy", ".npz", ".las", ".e57", ".obj", ".stl", ".dae", ".glb")

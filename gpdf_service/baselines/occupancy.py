@@ -9,8 +9,8 @@ from math import sqrt
 import numpy as np
 from scipy import ndimage
 
-from gpdf_service.perception import HeightMap
-from gpdf_service.perception.surface import UNKNOWN
+from gpdf_service.tiles import HeightMap
+from gpdf_service.tiles.surface import UNKNOWN
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 CELL = 0.01

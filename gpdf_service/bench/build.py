@@ -12,7 +12,7 @@ from gpdf_service.bench.build_changes import measure_changes
 from gpdf_service.bench.build_scale import hall_of, measure
 from gpdf_service.bench.plotting import add_plot_argument, draw_rows
 from gpdf_service.bench.report import Row, add_scene_arguments, clouds, each, show
-from gpdf_service.perception.formats import import_open3d
+from gpdf_service.clouds.formats import import_open3d
 from gpdf_service.pipeline import build_scene
 from gpdf_service.types import FloatArray
 

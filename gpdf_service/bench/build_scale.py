@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from gpdf_service.bench.report import Row
-from gpdf_service.perception import read_cloud
+from gpdf_service.clouds import read_cloud
 from gpdf_service.pipeline import build_scene
 from gpdf_service.types import FloatArray
 

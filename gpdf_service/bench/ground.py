@@ -14,8 +14,9 @@ from gpdf_service.bench.houses import house_rows
 from gpdf_service.bench.places import island_rows, label_rows, land_rows, path_rows
 from gpdf_service.bench.report import Row, each, show
 from gpdf_service.bench.rules import RULES, rule_rows
+from gpdf_service.clouds import read_cloud
 from gpdf_service.errors import RequestError
-from gpdf_service.perception import read_cloud, segment_ground
+from gpdf_service.perception import segment_ground
 from gpdf_service.synthetic import SCANNERS, SCENES, SyntheticScene, ramp, random_room
 from gpdf_service.types import BoolArray, FloatArray
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from gpdf_service.bench.columns import ColumnSearch
 from gpdf_service.bench.report import Row
+from gpdf_service.clouds import read_cloud
 from gpdf_service.errors import GpdfError
-from gpdf_service.perception import read_cloud
 from gpdf_service.pipeline import build_scene, plan
 from gpdf_service.scene import Scene
 from gpdf_service.synthetic.solids import turn_and_shift

@@ -13,13 +13,13 @@ from gpdf_service.bench.exact import ON, STEP, Truth, count_touching, every, jud
 from gpdf_service.bench.report import Row, each
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import GpdfError
-from gpdf_service.perception.surface import INFERRED, UNKNOWN
 from gpdf_service.pipeline import build_scene, plan
 from gpdf_service.scene import Scene
 from gpdf_service.synthetic.houses import house
 from gpdf_service.synthetic.place import Place
 from gpdf_service.synthetic.scanners import NOISE, SCANNERS, Scan
 from gpdf_service.synthetic.stairs import STAIRS
+from gpdf_service.tiles.surface import INFERRED, UNKNOWN
 from gpdf_service.types import AGENTS, Agent, BoolArray, FloatArray, PlanResult, Status, Trajectory
 
 COUNT = {"tripod": 21, "handheld": 28, "depth": 0}

@@ -20,9 +20,10 @@ from gpdf_service.bench.brute import BruteForce
 from gpdf_service.bench.judge import Judge, Verdict
 from gpdf_service.bench.paper_tables import METHODS, to_markdown
 from gpdf_service.bench.report import Row
+from gpdf_service.clouds import read_cloud
 from gpdf_service.cores import end_with_parent
 from gpdf_service.errors import GpdfError, RequestError
-from gpdf_service.perception import read_cloud, segment_ground
+from gpdf_service.perception import segment_ground
 from gpdf_service.pipeline import Method, build_scene, plan
 from gpdf_service.scene import Scene
 from gpdf_service.synthetic import SCENES

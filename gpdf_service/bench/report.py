@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from tqdm import tqdm
 
-from gpdf_service.perception import read_cloud
+from gpdf_service.clouds import read_cloud
 from gpdf_service.synthetic import SCENES
 from gpdf_service.types import BoolArray, FloatArray
 

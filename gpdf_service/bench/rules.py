@@ -15,15 +15,15 @@ import numpy as np
 from gpdf_service.bench import hard_clouds, houses, places
 from gpdf_service.bench.report import Row, each
 from gpdf_service.bench.scanned import judge, overlap, scanned
+from gpdf_service.clouds import read_cloud
 from gpdf_service.denoise import as_measured
 from gpdf_service.denoise.place import Placed
 from gpdf_service.errors import GpdfError
-from gpdf_service.perception import read_cloud
-from gpdf_service.perception.beside import Strips
-from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.pipeline import build_scene
 from gpdf_service.synthetic import SCENES, random_room
 from gpdf_service.synthetic.places import ONE_FLOOR, bedroom, museum, platform, supermarket, workshop
+from gpdf_service.tiles.beside import Strips
+from gpdf_service.tiles.surface import UNKNOWN
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 NOISES = (0.0, 0.02, 0.05)
@@ -81,7 +81,7 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "ways between storeys": (_P + "parts", "_between_storeys", lambda _, joins, *__: np.zeros(len(joins[0]), bool)),
     "ground that no way leads to": (_P + "parts", "_apart", lambda _, __, group, *___: np.zeros(group.max() + 1, bool)),
     "ceilings": (_P + "parts", "rises_beside", lambda nodes, *_: np.ones(len(nodes), dtype=bool)),
-    "faces of boards": (_P + "layers", "tops_of_boards", _middles),
+    "faces of boards": ("gpdf_service.tiles.layers", "tops_of_boards", _middles),
     "seams of sheets": (_P + "sheets", "_seams", lambda *_: []),
     "the foot of a step in its cell": (_P + "sheets", "_under_step", lambda layers, _: layers.cell < 0),
     "undersides that nobody saw": (_P + "levels", "unseen_beneath", lambda grid, *_: np.zeros_like(grid.others)),

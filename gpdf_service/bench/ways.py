@@ -11,9 +11,9 @@ import numpy as np
 
 from gpdf_service.bench.judge import Judge
 from gpdf_service.bench.report import Row, each
-from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.pipeline import plan
 from gpdf_service.scene import Scene
+from gpdf_service.tiles.surface import UNKNOWN
 from gpdf_service.types import Agent, FloatArray, PlanResult, Status
 
 HIGH_STEP = 0.2

@@ -14,12 +14,12 @@ from gpdf_service.config import SERVICE_TABLE, Config, read_tables
 from gpdf_service.errors import CloudError, ConfigError, SceneFileError
 
 if TYPE_CHECKING:  # what builds and plans takes a second to load: `load`, when there is something to do
-    from gpdf_service.perception import PointCloud
+    from gpdf_service.clouds import PointCloud
     from gpdf_service.scene import Scene
 
 SCENE_SUFFIX = ".gpdf"
 CLOUDS, MESHES = ".ply .pcd .xyz .txt .asc .pts .csv .npy .npz .las .laz .e57", ".obj .stl .off .dae .glb .gltf"
-"""Suffixes of the files that `perception.read` takes."""
+"""Suffixes of the files that `clouds.read` takes."""
 UP = ("z", "y", "x", "-z", "-y", "-x")
 BUILDING = ("ground_label", "topic", "thin", "scale", "up", "ignore_labels", "config")
 """Options that say how a cloud is read and built: a scene file knows nothing of them any more."""
@@ -75,7 +75,7 @@ def open_scene(path: Path, args: argparse.Namespace, work: Work) -> Scene:
 
 def open_with_cloud(path: Path, args: argparse.Namespace, work: Work) -> tuple[Scene, PointCloud | None]:
     """The scene, and the cloud that it was built of, if it was: the steps "read" and "build"."""
-    from gpdf_service.perception import read_cloud
+    from gpdf_service.clouds import read_cloud
     from gpdf_service.pipeline import build_scene
     from gpdf_service.scene import load_scene
 

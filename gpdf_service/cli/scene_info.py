@@ -17,7 +17,7 @@ from gpdf_service.cli.work import Work
 from gpdf_service.types import Agent, resolve_agent
 
 if TYPE_CHECKING:
-    from gpdf_service.perception import PointCloud
+    from gpdf_service.clouds import PointCloud
     from gpdf_service.scene import Scene
     from gpdf_service.search import Reach
 

@@ -23,10 +23,4 @@ from gpdf_service.perception.obstacles import are_voxels as are_voxels
 from gpdf_service.perception.obstacles import obstacles_of as obstacles_of
 from gpdf_service.perception.rays import Rays as Rays
 from gpdf_service.perception.rays import check_origins as check_origins
-from gpdf_service.perception.read import PointCloud as PointCloud
-from gpdf_service.perception.read import check_finite as check_finite
-from gpdf_service.perception.read import check_labels as check_labels
-from gpdf_service.perception.read import check_points as check_points
-from gpdf_service.perception.read import read_cloud as read_cloud
 from gpdf_service.perception.segment import segment_ground as segment_ground
-from gpdf_service.perception.surface import HeightMap as HeightMap

@@ -10,7 +10,7 @@ import numpy as np
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import TooLargeError
-from gpdf_service.perception.rows import bounds_of
+from gpdf_service.tiles.rows import bounds_of
 from gpdf_service.types import FloatArray
 
 LAYER_BYTES = 32

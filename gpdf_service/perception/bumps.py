@@ -17,13 +17,13 @@ from numba import njit
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.kernel_cache import lean
-from gpdf_service.perception.beside import Beside, Strips
-from gpdf_service.perception.boxes import lowest_around
-from gpdf_service.perception.layers import HALF, Layers
-from gpdf_service.perception.nodes import components, extents_in_plan
-from gpdf_service.perception.pairs import Columns, pairs_around
-from gpdf_service.perception.pieces import find_pieces
 from gpdf_service.perception.strides import SOLE
+from gpdf_service.tiles.beside import Beside, Strips
+from gpdf_service.tiles.boxes import lowest_around
+from gpdf_service.tiles.layers import HALF, Layers
+from gpdf_service.tiles.nodes import components, extents_in_plan
+from gpdf_service.tiles.pairs import Columns, pairs_around
+from gpdf_service.tiles.pieces import find_pieces
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 LEAST_BUMP = 0.02

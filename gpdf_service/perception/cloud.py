@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.perception.boxes import widened
-from gpdf_service.perception.layers import Layers, build_layers, grid_of, layer_gap, same_nodes, splice_layers
-from gpdf_service.perception.points import Points
-from gpdf_service.perception.surface import HeightMap
+from gpdf_service.tiles.boxes import widened
+from gpdf_service.tiles.layers import Layers, build_layers, grid_of, layer_gap, same_nodes, splice_layers
+from gpdf_service.tiles.points import Points
+from gpdf_service.tiles.surface import HeightMap
 from gpdf_service.types import BoolArray, FloatArray
 
 RIM = 3

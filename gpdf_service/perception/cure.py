@@ -17,10 +17,10 @@ from gpdf_service.denoise import (
     return_explained,
 )
 from gpdf_service.fields import build_tree, estimate_spacing
-from gpdf_service.perception.columns import compacted
-from gpdf_service.perception.layers import columns_over, in_steps
-from gpdf_service.perception.rows import bounds_of, cells_of, chosen_rows
 from gpdf_service.perception.segment import Segmentation, segment
+from gpdf_service.tiles.columns import compacted
+from gpdf_service.tiles.layers import columns_over, in_steps
+from gpdf_service.tiles.rows import bounds_of, cells_of, chosen_rows
 from gpdf_service.types import BoolArray, FloatArray
 
 NOISE_STEP = 0.001

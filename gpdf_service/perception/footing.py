@@ -11,10 +11,10 @@ from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.boxes import highest_around, lowest_around, widened
-from gpdf_service.perception.layers import HALF
 from gpdf_service.perception.strides import SOLE, STRIDE
-from gpdf_service.perception.surface import UNKNOWN, Cells, HeightMap, cell_of, rise_around
+from gpdf_service.tiles.boxes import highest_around, lowest_around, widened
+from gpdf_service.tiles.layers import HALF
+from gpdf_service.tiles.surface import UNKNOWN, Cells, HeightMap, cell_of, rise_around
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 _LIMITS = PerceptionConfig()

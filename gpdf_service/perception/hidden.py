@@ -7,12 +7,12 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from gpdf_service.perception.boxes import highest_around
 from gpdf_service.perception.holes import CEILING, MAX_HOLE_RADIUS
-from gpdf_service.perception.nearest import nearest_of
-from gpdf_service.perception.rows import extent_within
 from gpdf_service.perception.strides import HALF_FOOT
-from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, count_cells, count_in, without
+from gpdf_service.tiles.boxes import highest_around
+from gpdf_service.tiles.nearest import nearest_of
+from gpdf_service.tiles.rows import extent_within
+from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, count_cells, count_in, without
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 _FACE_REACH = 2

@@ -14,14 +14,14 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.heights import make_sums
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.bend import FINE, FLAT, bend_at, reach_of
-from gpdf_service.perception.boxes import Box, highest_around, lowest_around, widened, window
-from gpdf_service.perception.columns import by_cell
-from gpdf_service.perception.layers import widest_cell
-from gpdf_service.perception.nearest import nearest_of
-from gpdf_service.perception.nodes import count_labels
 from gpdf_service.perception.notches import fill_notches, notches_reach
-from gpdf_service.perception.rows import extent_within, under
-from gpdf_service.perception.surface import (
+from gpdf_service.tiles.boxes import Box, highest_around, lowest_around, widened, window
+from gpdf_service.tiles.columns import by_cell
+from gpdf_service.tiles.layers import widest_cell
+from gpdf_service.tiles.nearest import nearest_of
+from gpdf_service.tiles.nodes import count_labels
+from gpdf_service.tiles.rows import extent_within, under
+from gpdf_service.tiles.surface import (
     INFERRED,
     OBSERVED,
     UNKNOWN,
@@ -31,7 +31,7 @@ from gpdf_service.perception.surface import (
     nearest_seen,
     without,
 )
-from gpdf_service.perception.told import Grid
+from gpdf_service.tiles.told import Grid
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 GAP_CELLS = 4

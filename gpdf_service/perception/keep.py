@@ -10,12 +10,12 @@ from numba import njit
 
 from gpdf_service.errors import SceneFileError
 from gpdf_service.fields.threads import run_parallel
-from gpdf_service.perception.columns import by_cell
 from gpdf_service.perception.levels import Levels, in_order
 from gpdf_service.perception.limits import GroundLimits, ObstacleKind
-from gpdf_service.perception.rows import chosen_rows
-from gpdf_service.perception.surface import HeightMap, cells_within
 from gpdf_service.store import Arrays, flatten, restore
+from gpdf_service.tiles.columns import by_cell
+from gpdf_service.tiles.rows import chosen_rows
+from gpdf_service.tiles.surface import HeightMap, cells_within
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 _LEVEL, _EDGES = "levels/levels/{}", "/edges"

@@ -10,12 +10,12 @@ from scipy.spatial import cKDTree
 
 from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.boxes import WHOLE, Box, highest_around, lowest_around, widened
-from gpdf_service.perception.columns import ends_of_runs, lowest_above
 from gpdf_service.perception.footing import footholds, footing_reach
-from gpdf_service.perception.rows import between, chosen_rows
 from gpdf_service.perception.smooth import RESOLVED_STEP
-from gpdf_service.perception.surface import UNKNOWN, HeightMap, cells_within, cropped
+from gpdf_service.tiles.boxes import WHOLE, Box, highest_around, lowest_around, widened
+from gpdf_service.tiles.columns import ends_of_runs, lowest_above
+from gpdf_service.tiles.rows import between, chosen_rows
+from gpdf_service.tiles.surface import UNKNOWN, HeightMap, cells_within, cropped
 from gpdf_service.types import BoolArray, FloatArray
 
 FACE = 0.1

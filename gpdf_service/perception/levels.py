@@ -14,20 +14,8 @@ from numpy.typing import NDArray
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_beside, run_chunked, run_parallel
-from gpdf_service.perception.beside import Beside, beside, beside_now
-from gpdf_service.perception.boxes import WHOLE, Box, highest_around, lowest_around, widened, window
 from gpdf_service.perception.budget import KEPT_BYTES, LEVEL_BYTES, check_grid, give_back
 from gpdf_service.perception.cloud import Cloud, Rows, change_layers
-from gpdf_service.perception.columns import (
-    by_cell,
-    ends_in_plan,
-    put_heights_in_plan,
-    runs_of,
-    starts_spliced,
-    take_out,
-    unlike_cells,
-    values_spliced,
-)
 from gpdf_service.perception.footing import FLIGHT_RISE, bridged, flights, footing_reach, ridges, ridges_reach
 from gpdf_service.perception.hidden import faces_reach, find_faces, hidden_reach, without_hidden
 from gpdf_service.perception.holes import (
@@ -38,13 +26,6 @@ from gpdf_service.perception.holes import (
     find_voids,
     standing,
     without_enclosed,
-)
-from gpdf_service.perception.layers import (
-    Layers,
-    build_layers,
-    cell_width_of,
-    layer_gap,
-    widest_cell,
 )
 from gpdf_service.perception.ledges import LEAST_OBSTACLE, find_ledges, ground_reach, ledge_reach
 from gpdf_service.perception.limits import (
@@ -58,14 +39,33 @@ from gpdf_service.perception.limits import (
 )
 from gpdf_service.perception.notches import FLIGHT, NOTCH_DEPTH, between_treads
 from gpdf_service.perception.overhead import Columns, over_head, unseen_asks, unseen_beneath
-from gpdf_service.perception.points import Points, points_of
 from gpdf_service.perception.rays import Rays, seen_by_rays
-from gpdf_service.perception.rows import INDEX, between, chosen_rows, extent_within, rows_by_cell, taken, under
 from gpdf_service.perception.segment import LEAST_SCATTER
 from gpdf_service.perception.sheets import OVERLAP, split_sheets
 from gpdf_service.perception.smooth import RESOLVED_STEP, to_centres, with_rims
 from gpdf_service.perception.strays import find_strays
-from gpdf_service.perception.surface import (
+from gpdf_service.tiles.beside import Beside, beside, beside_now
+from gpdf_service.tiles.boxes import WHOLE, Box, highest_around, lowest_around, widened, window
+from gpdf_service.tiles.columns import (
+    by_cell,
+    ends_in_plan,
+    put_heights_in_plan,
+    runs_of,
+    starts_spliced,
+    take_out,
+    unlike_cells,
+    values_spliced,
+)
+from gpdf_service.tiles.layers import (
+    Layers,
+    build_layers,
+    cell_width_of,
+    layer_gap,
+    widest_cell,
+)
+from gpdf_service.tiles.points import Points, points_of
+from gpdf_service.tiles.rows import INDEX, between, chosen_rows, extent_within, rows_by_cell, taken, under
+from gpdf_service.tiles.surface import (
     OBSERVED,
     UNKNOWN,
     HeightMap,
@@ -75,7 +75,7 @@ from gpdf_service.perception.surface import (
     cropped,
     nearest_seen,
 )
-from gpdf_service.perception.told import Grid, boxes_of, grown, new_grid
+from gpdf_service.tiles.told import Grid, boxes_of, grown, new_grid
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 ALONE = 0.25

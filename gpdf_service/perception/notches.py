@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.perception.boxes import window
 from gpdf_service.perception.footing import ROUGH, flights
-from gpdf_service.perception.nearest import nearest_of
 from gpdf_service.perception.strides import SOLE, STRIDE
-from gpdf_service.perception.surface import INFERRED, UNKNOWN, HeightMap
+from gpdf_service.tiles.boxes import window
+from gpdf_service.tiles.nearest import nearest_of
+from gpdf_service.tiles.surface import INFERRED, UNKNOWN, HeightMap
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 STEEPEST_FLIGHT = 1.3

@@ -14,11 +14,11 @@ from gpdf_service.perception.footing import ROUGH, footing_reach, is_tread, on_t
 from gpdf_service.perception.ledges import FACE, LEAST_OBSTACLE, astray
 from gpdf_service.perception.levels import GroundLevel
 from gpdf_service.perception.limits import GroundLimits, ObstacleKind
-from gpdf_service.perception.nearest import nearest_of
-from gpdf_service.perception.points import Points
-from gpdf_service.perception.rows import between, chosen_rows, under
 from gpdf_service.perception.strides import SOLE, STRIDE
-from gpdf_service.perception.surface import INFERRED, UNKNOWN, Cells, HeightMap, cells_within
+from gpdf_service.tiles.nearest import nearest_of
+from gpdf_service.tiles.points import Points
+from gpdf_service.tiles.rows import between, chosen_rows, under
+from gpdf_service.tiles.surface import INFERRED, UNKNOWN, Cells, HeightMap, cells_within
 from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
 
 HEADROOM_SHARE = 0.01

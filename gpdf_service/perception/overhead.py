@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.perception.boxes import Box, lowest_around, widened
 from gpdf_service.perception.footing import rings_of
 from gpdf_service.perception.ledges import LEAST_OBSTACLE
-from gpdf_service.perception.rows import extent_within, under
-from gpdf_service.perception.told import Grid, grown, within
+from gpdf_service.tiles.boxes import Box, lowest_around, widened
+from gpdf_service.tiles.rows import extent_within, under
+from gpdf_service.tiles.told import Grid, grown, within
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 

@@ -11,10 +11,11 @@ from scipy.spatial import cKDTree
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
-from gpdf_service.perception.beside import Answer, Beside, Strips
 from gpdf_service.perception.bumps import LANDING
-from gpdf_service.perception.layers import HALF, Layers, Pairs, connect, steady
-from gpdf_service.perception.nodes import (
+from gpdf_service.perception.strides import HALF_FOOT, SOLE, STRIDE, find_strides
+from gpdf_service.tiles.beside import Answer, Beside, Strips
+from gpdf_service.tiles.layers import HALF, Layers, Pairs, connect, steady
+from gpdf_service.tiles.nodes import (
     components,
     extents_of,
     heights_of,
@@ -24,8 +25,7 @@ from gpdf_service.perception.nodes import (
     rises_beside,
     touched_by,
 )
-from gpdf_service.perception.pieces import Pieces, find_pieces
-from gpdf_service.perception.strides import HALF_FOOT, SOLE, STRIDE, find_strides
+from gpdf_service.tiles.pieces import Pieces, find_pieces
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 OVER_SHARE = 0.2

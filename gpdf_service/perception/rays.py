@@ -16,9 +16,9 @@ from scipy import ndimage
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import CloudError
 from gpdf_service.fields.threads import run_parallel
-from gpdf_service.perception.boxes import widened
 from gpdf_service.perception.holes import MAX_HOLE_RADIUS
-from gpdf_service.perception.surface import INFERRED, OBSERVED, Cells, HeightMap, cells_within, without
+from gpdf_service.tiles.boxes import widened
+from gpdf_service.tiles.surface import INFERRED, OBSERVED, Cells, HeightMap, cells_within, without
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 SHARES = 4

@@ -8,14 +8,25 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gpdf_service.clouds.read import check_points
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_beside, run_chunked
-from gpdf_service.perception.beside import Beside, Strips, beside, beside_now
 from gpdf_service.perception.budget import LAYER_BYTES, check_grid
 from gpdf_service.perception.bumps import boxes, low_things, raised_over_sides
 from gpdf_service.perception.cloud import Cloud, change_layers
-from gpdf_service.perception.layers import (
+from gpdf_service.perception.parts import (
+    TABLE_AREA,
+    accept_parts,
+    build_parts,
+    join_parts,
+    undersides,
+    without_ceilings,
+    without_crumbs,
+)
+from gpdf_service.perception.strides import BODY, HALF_FOOT, SOLE, STRIDE, find_between, find_footing, find_stances
+from gpdf_service.tiles.beside import Beside, Strips, beside, beside_now
+from gpdf_service.tiles.layers import (
     Layers,
     build_layers,
     cell_width_of,
@@ -25,7 +36,7 @@ from gpdf_service.perception.layers import (
     nodes_of,
     widest_cell,
 )
-from gpdf_service.perception.nodes import (
+from gpdf_service.tiles.nodes import (
     degrees,
     drops_beside,
     half_way,
@@ -36,19 +47,8 @@ from gpdf_service.perception.nodes import (
     nodes_over,
     off_ground,
 )
-from gpdf_service.perception.pairs import medians_around
-from gpdf_service.perception.parts import (
-    TABLE_AREA,
-    accept_parts,
-    build_parts,
-    join_parts,
-    undersides,
-    without_ceilings,
-    without_crumbs,
-)
-from gpdf_service.perception.pieces import find_pieces
-from gpdf_service.perception.read import check_points
-from gpdf_service.perception.strides import BODY, HALF_FOOT, SOLE, STRIDE, find_between, find_footing, find_stances
+from gpdf_service.tiles.pairs import medians_around
+from gpdf_service.tiles.pieces import find_pieces
 from gpdf_service.types import BoolArray, FloatArray
 
 NO_SURFACE = ("ground", "no surface in the cloud is wide and level enough to stand on", "Is z up?")

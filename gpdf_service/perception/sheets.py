@@ -7,10 +7,11 @@ from functools import partial
 import numpy as np
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.perception.beside import Answer, Beside, Strips
-from gpdf_service.perception.columns import by_cell
-from gpdf_service.perception.layers import APART, HALF, Layers, Pairs, connect
-from gpdf_service.perception.nodes import (
+from gpdf_service.perception.segment import over_ground
+from gpdf_service.tiles.beside import Answer, Beside, Strips
+from gpdf_service.tiles.columns import by_cell
+from gpdf_service.tiles.layers import APART, HALF, Layers, Pairs, connect
+from gpdf_service.tiles.nodes import (
     attach,
     components,
     degrees,
@@ -22,9 +23,8 @@ from gpdf_service.perception.nodes import (
     plan_sums,
     whole_around,
 )
-from gpdf_service.perception.pairs import steps_over_gaps
-from gpdf_service.perception.pieces import Pieces, find_pieces
-from gpdf_service.perception.segment import over_ground
+from gpdf_service.tiles.pairs import steps_over_gaps
+from gpdf_service.tiles.pieces import Pieces, find_pieces
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 OVERLAP = 1.2

@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.perception.bend import FINE, FLAT, REACH
-from gpdf_service.perception.surface import HeightMap
+from gpdf_service.tiles.surface import HeightMap
 
 _SAME = 1.0
 """[-] Heights further apart, over the noise, are two surfaces: cured cells are off by a fifth of it."""

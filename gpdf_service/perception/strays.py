@@ -6,8 +6,8 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.columns import by_cell, compacted
-from gpdf_service.perception.rows import bounds_of
+from gpdf_service.tiles.columns import by_cell, compacted
+from gpdf_service.tiles.rows import bounds_of
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 

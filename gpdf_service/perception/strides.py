@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.kernel_cache import lean
-from gpdf_service.perception.boxes import widened
-from gpdf_service.perception.layers import Layers
-from gpdf_service.perception.pairs import AROUND, Columns
+from gpdf_service.tiles.boxes import widened
+from gpdf_service.tiles.layers import Layers
+from gpdf_service.tiles.pairs import AROUND, Columns
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 BODY = 0.2

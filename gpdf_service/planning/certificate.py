@@ -20,13 +20,13 @@ from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.kernel_cache import lean
 from gpdf_service.perception.footing import ROUGH, crosses_flight
 from gpdf_service.perception.limits import LEAST_STEP
-from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, Cells, cell_of, count_in, is_known
 from gpdf_service.planning.footprint import travel_headings
 from gpdf_service.planning.shape import runs
 from gpdf_service.planning.words import measure, place_words
 from gpdf_service.search import FreeSpace
 from gpdf_service.search.motion import least_distance
 from gpdf_service.search.places import Places
+from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, Cells, cell_of, count_in, is_known
 from gpdf_service.types import BoolArray, Certificate, FloatArray, IntArray
 
 RESOLUTION = 1e-3

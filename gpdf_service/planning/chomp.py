@@ -16,7 +16,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.kernel_cache import lean
-from gpdf_service.perception.surface import Cells
 from gpdf_service.planning.costs import (
     Discs,
     Memo,
@@ -28,6 +27,7 @@ from gpdf_service.planning.costs import (
 )
 from gpdf_service.planning.shape import is_level, lengths, rounded, waypoints
 from gpdf_service.search.ways import Fields
+from gpdf_service.tiles.surface import Cells
 from gpdf_service.types import FloatArray
 
 _DESCENT = 1e-4

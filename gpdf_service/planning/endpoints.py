@@ -13,7 +13,6 @@ from scipy import ndimage
 
 from gpdf_service.fields.tree import make_scratch
 from gpdf_service.perception import ObstacleKind
-from gpdf_service.perception.surface import UNKNOWN, height_of, is_same_ground
 from gpdf_service.planning.certificate import FINEST
 from gpdf_service.planning.footprint import disc_places
 from gpdf_service.planning.shape import radius_within
@@ -22,6 +21,7 @@ from gpdf_service.search import FreeSpace
 from gpdf_service.search.motion import is_straight_clear
 from gpdf_service.search.nearest import nearest_free
 from gpdf_service.search.places import Places, nearest_to
+from gpdf_service.tiles.surface import UNKNOWN, height_of, is_same_ground
 from gpdf_service.types import FloatArray, PlanOptions, Status
 
 SAME_GROUND = 0.5

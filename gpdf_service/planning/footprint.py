@@ -9,8 +9,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.fields import FieldArrays
-from gpdf_service.perception.surface import Cells
 from gpdf_service.planning.shape import stand_on, subdivide
+from gpdf_service.tiles.surface import Cells
 from gpdf_service.types import BoolArray, FloatArray
 
 STILL = 1e-9

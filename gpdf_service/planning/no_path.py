@@ -22,16 +22,17 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from gpdf_service.kernel_cache import lean
-from gpdf_service.perception import HeightMap, ObstacleKind
+from gpdf_service.perception import ObstacleKind
 from gpdf_service.perception.ledges import LEAST_OBSTACLE
-from gpdf_service.perception.nearest import nearest_of
 from gpdf_service.perception.obstacles import least_headroom
-from gpdf_service.perception.surface import UNKNOWN, Cells
 from gpdf_service.planning.certificate import min_distance
 from gpdf_service.planning.endpoints import Endpoint
 from gpdf_service.planning.words import measure, place_words
 from gpdf_service.search import FreeSpace
 from gpdf_service.search.places import nearest_places
+from gpdf_service.tiles import HeightMap
+from gpdf_service.tiles.nearest import nearest_of
+from gpdf_service.tiles.surface import UNKNOWN, Cells
 from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
 
 CELL = 0.025

@@ -13,11 +13,11 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields.tree import make_scratch
-from gpdf_service.perception.surface import Cells, height_of
 from gpdf_service.planning.chomp import ChompResult
 from gpdf_service.planning.routes import Leg, steps_of
 from gpdf_service.planning.shape import distinct, is_straight, subdivide
 from gpdf_service.search.places import Places
+from gpdf_service.tiles.surface import Cells, height_of
 from gpdf_service.types import FloatArray
 
 Bent = tuple[Leg, ChompResult | None]

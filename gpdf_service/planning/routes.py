@@ -13,7 +13,6 @@ from numba import njit
 
 from gpdf_service.fields.tree import make_scratch
 from gpdf_service.kernel_cache import lean
-from gpdf_service.perception.surface import Cells
 from gpdf_service.planning.endpoints import Endpoint, Ends, connect_at, radius_at
 from gpdf_service.planning.shape import (
     distinct,
@@ -48,6 +47,7 @@ from gpdf_service.search.ways import (
     way_steps,
     way_takes,
 )
+from gpdf_service.tiles.surface import Cells
 from gpdf_service.types import FloatArray, IntArray
 
 NEAR = 0.5

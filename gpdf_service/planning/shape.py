@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from gpdf_service.fields import FieldArrays, Gpdf
 from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.kernel_cache import lean
-from gpdf_service.perception import HeightMap
-from gpdf_service.perception.surface import UNKNOWN, Cells, cell_of, height_of, rise_around
 from gpdf_service.planning.costs import Memo, make_memo, recall
 from gpdf_service.search.core import NARROW
 from gpdf_service.search.motion import CENTRE, RESOLUTION, is_leap_clear, is_straight_clear
 from gpdf_service.search.places import Places, distance_at
+from gpdf_service.tiles import HeightMap
+from gpdf_service.tiles.surface import UNKNOWN, Cells, cell_of, height_of, rise_around
 from gpdf_service.types import FloatArray, IntArray
 
 _UPRIGHT_SHARE = 0.09

@@ -11,20 +11,8 @@ from numba import njit
 from gpdf_service.config import FieldConfig, SearchConfig
 from gpdf_service.fields import Gpdf, Tree, build_tree, change_tree, thin
 from gpdf_service.fields.threads import run_beside, run_parallel
-from gpdf_service.perception import (
-    CLEAN,
-    GroundLevel,
-    HeightMap,
-    Levels,
-    Obstacles,
-    Scan,
-    Touched,
-    obstacles_of,
-)
-from gpdf_service.perception.boxes import span, widened, window
+from gpdf_service.perception import CLEAN, GroundLevel, Levels, Obstacles, Scan, Touched, obstacles_of
 from gpdf_service.perception.obstacles import obstacles_reach
-from gpdf_service.perception.rows import hashed, more_now, rows_by_cell, rows_in_cells, rows_spliced, taken
-from gpdf_service.perception.surface import UNKNOWN, cropped
 from gpdf_service.search.free_space import (
     FreeSpace,
     LevelSpace,
@@ -36,6 +24,10 @@ from gpdf_service.search.free_space import (
 from gpdf_service.search.graph import Edges, change_edges
 from gpdf_service.search.places import Places
 from gpdf_service.search.quadtree import Quadtree, change_quadtree
+from gpdf_service.tiles import HeightMap
+from gpdf_service.tiles.boxes import span, widened, window
+from gpdf_service.tiles.rows import hashed, more_now, rows_by_cell, rows_in_cells, rows_spliced, taken
+from gpdf_service.tiles.surface import UNKNOWN, cropped
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 

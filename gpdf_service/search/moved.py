@@ -13,17 +13,17 @@ from gpdf_service.config import FieldConfig, SearchConfig
 from gpdf_service.fields import Nearer, build_tree
 from gpdf_service.fields.traversal import NearerArrays, nearest_only
 from gpdf_service.perception import CLEAN, GroundLevel, Levels, Obstacles, Scan, obstacles_of
-from gpdf_service.perception.boxes import Box
 from gpdf_service.perception.levels import within_reach
 from gpdf_service.perception.limits import NO_LIMITS
 from gpdf_service.perception.sheets import OVERLAP
-from gpdf_service.perception.surface import cropped
 from gpdf_service.search.core import patch_core
 from gpdf_service.search.free_space import NONE, FreeSpace, fit_obstacle_field, joined
 from gpdf_service.search.graph import Edges, find_edges
 from gpdf_service.search.patch import Around, Nodes, around, patched
 from gpdf_service.search.places import Places
 from gpdf_service.search.resplit import SplitQuadtree, split_again
+from gpdf_service.tiles.boxes import Box
+from gpdf_service.tiles.surface import cropped
 from gpdf_service.types import Agent, FloatArray, IntArray
 
 

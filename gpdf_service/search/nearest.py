@@ -10,11 +10,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.kernel_cache import lean
-from gpdf_service.perception.surface import BLOCK, Cells, height_of
 from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.layered import below
 from gpdf_service.search.quadtree import Quadtree
 from gpdf_service.search.resplit import SplitQuadtree
+from gpdf_service.tiles.surface import BLOCK, Cells, height_of
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 INSIDE = 1e-6

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.perception.nodes import components
 from gpdf_service.search.graph import Edges, Graph, Patch, edges_of, far_end, price_edges
 from gpdf_service.search.layered import Layered, below
 from gpdf_service.search.resplit import is_among
+from gpdf_service.tiles.nodes import components
 from gpdf_service.types import FloatArray, IntArray
 
 

@@ -15,8 +15,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.fields.tree import make_scratch
-from gpdf_service.perception.surface import Cells, is_known
 from gpdf_service.search.places import Places, nearest_of
+from gpdf_service.tiles.surface import Cells, is_known
 from gpdf_service.types import FloatArray, IntArray
 
 Bits = NDArray[np.uint64]

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from gpdf_service.fields import Tree, morton
 from gpdf_service.fields.traversal import nearest_at
 from gpdf_service.fields.tree import longer, make_scratch, place_of
-from gpdf_service.perception import HeightMap
-from gpdf_service.perception.boxes import span
+from gpdf_service.tiles import HeightMap
+from gpdf_service.tiles.boxes import span
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 MIN_WIDTH = 0.014

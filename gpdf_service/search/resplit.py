@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from gpdf_service.fields import morton
 from gpdf_service.fields.traversal import nearest_at
 from gpdf_service.fields.tree import make_scratch, place_of
-from gpdf_service.perception import HeightMap
 from gpdf_service.search.layered import Layered
 from gpdf_service.search.places import Places, distance_at
 from gpdf_service.search.quadtree import Quadtree, is_split, state_of
+from gpdf_service.tiles import HeightMap
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 FELT = 5.0

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_service.kernel_cache import lean
-from gpdf_service.perception.surface import Cells, cell_of, count_cells, count_in
+from gpdf_service.tiles.surface import Cells, cell_of, count_cells, count_in
 from gpdf_service.types import FloatArray
 
 NOTICED_STEP = 0.03

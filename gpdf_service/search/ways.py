@@ -21,7 +21,6 @@ from gpdf_service.fields import AnyField, FieldArrays
 from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.kernel_cache import lean
 from gpdf_service.perception import ObstacleKind
-from gpdf_service.perception.surface import UNKNOWN, Cells, cell_of
 from gpdf_service.search.boxed import boxed
 from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.graph import Edges, Graph, assemble
@@ -30,6 +29,7 @@ from gpdf_service.search.layered import below
 from gpdf_service.search.places import Places, nearest_of
 from gpdf_service.search.resplit import FELT
 from gpdf_service.search.steps import NOTICED_STEP, is_stepped
+from gpdf_service.tiles.surface import UNKNOWN, Cells, cell_of
 from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
 
 CARE = 0.5

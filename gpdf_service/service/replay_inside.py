@@ -12,8 +12,8 @@ from pathlib import Path
 from gpdf_schemas import Array, MovingObstacle, PlanReply, decode, encode, keys
 from tqdm import tqdm
 
+from gpdf_service.clouds import read_cloud
 from gpdf_service.errors import RequestError, SceneFileError
-from gpdf_service.perception import read_cloud
 from gpdf_service.pipeline import build_scene
 from gpdf_service.scene import Scene, load_scene
 from gpdf_service.service.answers import answer

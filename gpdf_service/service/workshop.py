@@ -9,10 +9,10 @@ from typing import Any
 
 import msgspec
 
+from gpdf_service.clouds import read_cloud
+from gpdf_service.clouds.formats import as_bytes, greatest
 from gpdf_service.config import Config
 from gpdf_service.errors import SceneFileError
-from gpdf_service.perception import read_cloud
-from gpdf_service.perception.formats import as_bytes, greatest
 from gpdf_service.pipeline import Progress, build_scene
 from gpdf_service.scene import Scene, load_scene
 from gpdf_service.search import Prefer

@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
 from gpdf_service.perception import ObstacleKind
-from gpdf_service.perception.surface import INFERRED
 from gpdf_service.scene import Scene
+from gpdf_service.tiles.surface import INFERRED
 from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray, PlanResult, Status, Trajectory, resolve_agent
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")

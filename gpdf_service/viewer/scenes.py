@@ -126,7 +126,7 @@ class Scenes:
         self._take(client, load.name.value)
 
     def _send_cloud(self, file: viser.UploadedFile) -> None:
-        from gpdf_service.perception import read_cloud
+        from gpdf_service.clouds import read_cloud
 
         client, panel = self._desk.link.client, self._desk.panel
         name = panel.load.name.value

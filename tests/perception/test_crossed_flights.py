@@ -5,7 +5,7 @@ import pytest
 
 from gpdf_service.perception.footing import FLIGHT_RISE, ROUGH, crosses_flight, rings_of
 from gpdf_service.perception.strides import STRIDE
-from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap
+from gpdf_service.tiles.surface import OBSERVED, UNKNOWN, HeightMap
 
 WIDTH, RADIUS = 0.05, 0.25
 

@@ -3,17 +3,18 @@ import pytest
 from scipy import ndimage
 
 from gpdf_service import build_scene, plan
+from gpdf_service.clouds import read_cloud
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
-from gpdf_service.perception import ObstacleKind, Scan, obstacles_of, read_cloud, segment_ground
+from gpdf_service.perception import ObstacleKind, Scan, obstacles_of, segment_ground
 from gpdf_service.perception.holes import without_enclosed
 from gpdf_service.perception.ledges import LEAST_OBSTACLE, find_ledges, next_above
 from gpdf_service.perception.levels import GroundLevel, survey_levels, without_outliers
 from gpdf_service.perception.limits import step_and_slope
 from gpdf_service.perception.strays import find_strays
-from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
-from gpdf_service.perception.told import new_grid
 from gpdf_service.synthetic import SCENES, Box, World, ramp, random_room
+from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
+from gpdf_service.tiles.told import new_grid
 from gpdf_service.types import AGENTS, Status
 from tests.clients.two_storeys import make_house
 

@@ -5,7 +5,7 @@ import pytest
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.levels import survey_levels
-from gpdf_service.perception.surface import INFERRED, UNKNOWN
+from gpdf_service.tiles.surface import INFERRED, UNKNOWN
 
 
 def floor_without(shadow):

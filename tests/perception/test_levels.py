@@ -13,9 +13,9 @@ import gpdf_service as gpdf
 from gpdf_service.perception.budget import _trim, give_back
 from gpdf_service.perception.levels import BLOCK
 from gpdf_service.perception.sheets import OVERLAP
-from gpdf_service.perception.surface import UNKNOWN
-from gpdf_service.perception.told import bands_of
 from gpdf_service.synthetic.scenes import cave, random_room, stair
+from gpdf_service.tiles.surface import UNKNOWN
+from gpdf_service.tiles.told import bands_of
 from gpdf_service.types import FloatArray
 
 
@@ -68,7 +68,7 @@ def test_a_scene_is_the_same_in_whatever_bands_its_cells_are_asked(place, noise:
         asked.append(len(ends) - 1)
         return [(slice(a, b), slice(0, shape[1])) for a, b in pairwise(ends)]
 
-    monkeypatch.setattr("gpdf_service.perception.told.bands_of", bands)
+    monkeypatch.setattr("gpdf_service.tiles.told.bands_of", bands)
     other = gpdf.build_scene(cloud)
     assert max(asked) > 1
     for a, b in zip(whole.levels.levels, other.levels.levels, strict=True):

@@ -17,7 +17,7 @@ from gpdf_service.perception.limits import (
     step_and_slope,
 )
 from gpdf_service.perception.strides import sector_of
-from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
+from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
 
 FOOT, LEAST_STEP, STANDABLE, STRIDE, SECTORS = 0.1, 0.01, 0.524, 0.4, 16
 FLIGHT_RISE, STAIR_STEP, ROUGH, TREAD_DEPTH, HALF_SOLE, MAX_STEP, SOLE = 0.74, 0.25, 0.075, 0.2, 0.015, 0.37, 0.12

@@ -5,7 +5,7 @@ import pytest
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.notches import fill_notches, notches_reach
-from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
+from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
 
 WIDTH = 0.05
 RISE = 0.17

@@ -9,9 +9,9 @@ from gpdf_service.perception.footing import on_treads
 from gpdf_service.perception.levels import survey_levels
 from gpdf_service.perception.limits import ObstacleKind
 from gpdf_service.perception.obstacles import are_voxels, highest_within, obstacles_of
-from gpdf_service.perception.points import points_of
-from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap
 from gpdf_service.synthetic.solids import turn_and_shift
+from gpdf_service.tiles.points import points_of
+from gpdf_service.tiles.surface import OBSERVED, UNKNOWN, HeightMap
 from gpdf_service.types import AGENTS
 
 RISE, GOING, SPACING = 0.2, 0.25, 0.025

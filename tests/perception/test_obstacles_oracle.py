@@ -6,13 +6,13 @@ from itertools import product
 import numpy as np
 import pytest
 
-from gpdf_service.perception.boxes import widened
 from gpdf_service.perception.footing import is_tread, on_treads
 from gpdf_service.perception.levels import GroundLevel
 from gpdf_service.perception.limits import ObstacleKind
 from gpdf_service.perception.obstacles import Scan, are_voxels, obstacles_of, obstacles_reach
-from gpdf_service.perception.points import points_of
-from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, cropped
+from gpdf_service.tiles.boxes import widened
+from gpdf_service.tiles.points import points_of
+from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, cropped
 from gpdf_service.types import AGENTS
 
 LEAST_OBSTACLE, HEADROOM_SHARE, SURELY, RESOLVED = 0.015, 0.01, 2.0, 3.0

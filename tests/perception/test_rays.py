@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
+from gpdf_service.clouds import read_cloud
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import CloudError
-from gpdf_service.perception import read_cloud
 from gpdf_service.perception.levels import survey_levels
 from gpdf_service.perception.rays import check_origins
-from gpdf_service.perception.surface import INFERRED
+from gpdf_service.tiles.surface import INFERRED
 
 CONFIG = PerceptionConfig()
 STATION = np.array([3.0, 3.0, 1.5])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gpdf_service.perception.surface import BLOCK, OBSERVED, UNKNOWN, HeightMap, rise_around
+from gpdf_service.tiles.surface import BLOCK, OBSERVED, UNKNOWN, HeightMap, rise_around
 
 WIDTH = 0.05
 

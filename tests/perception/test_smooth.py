@@ -10,8 +10,8 @@ from gpdf_service.perception import survey_levels
 from gpdf_service.perception.holes import fill_holes
 from gpdf_service.perception.limits import step_and_slope
 from gpdf_service.perception.smooth import to_centres, with_rims
-from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap, nearest_seen
-from gpdf_service.perception.told import new_grid
+from gpdf_service.tiles.surface import OBSERVED, UNKNOWN, HeightMap, nearest_seen
+from gpdf_service.tiles.told import new_grid
 
 WIDTH = 0.05
 NOISE = 0.05

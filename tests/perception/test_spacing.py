@@ -5,8 +5,8 @@ import pytest
 
 import gpdf_service as gpdf
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.perception.layers import cell_width_of, widest_cell
 from gpdf_service.perception.levels import survey_levels
+from gpdf_service.tiles.layers import cell_width_of, widest_cell
 
 CONFIG = PerceptionConfig()
 

@@ -8,7 +8,7 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.footing import bridged
 from gpdf_service.perception.segment import first_layers
 from gpdf_service.perception.strides import find_footing, find_stances
-from gpdf_service.perception.surface import OBSERVED, HeightMap
+from gpdf_service.tiles.surface import OBSERVED, HeightMap
 
 CONFIG = PerceptionConfig()
 SPACING = 0.025

@@ -9,11 +9,11 @@ from scipy.ndimage import distance_transform_edt
 
 import gpdf_service as gpdf
 from gpdf_service.fields.tree import build_tree
-from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, Cells, count_cells
 from gpdf_service.planning.certificate import _coarsest_spacing, certify
 from gpdf_service.planning.shape import stand_up
 from gpdf_service.search.places import Places
 from gpdf_service.synthetic import Box, World
+from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, Cells, count_cells
 from gpdf_service.types import AGENTS
 
 FAR = np.array([[100.0, 100.0]])

@@ -8,11 +8,11 @@ import pytest
 
 import gpdf_service as gpdf
 from gpdf_service.fields.tree import build_tree
-from gpdf_service.perception.surface import OBSERVED, UNKNOWN, HeightMap
 from gpdf_service.planning.certificate import certify
 from gpdf_service.planning.footprint import disc_places
 from gpdf_service.planning.shape import runs
 from gpdf_service.search.places import Places
+from gpdf_service.tiles.surface import OBSERVED, UNKNOWN, HeightMap
 from gpdf_service.types import AGENTS
 
 SAMPLE, CELL_SHARE, BETWEEN_HEIGHTS = 0.01, 0.2, 0.03

@@ -5,11 +5,11 @@ import pytest
 
 import gpdf_service as gpdf
 from gpdf_service.perception import ObstacleKind
-from gpdf_service.perception.surface import OBSERVED, Cells
 from gpdf_service.planning import no_path
 from gpdf_service.planning.endpoints import find_endpoint
 from gpdf_service.planning.no_path import Cut, explain_no_path
 from gpdf_service.synthetic import SCENES, Box, World
+from gpdf_service.tiles.surface import OBSERVED, Cells
 from gpdf_service.types import AGENTS
 
 

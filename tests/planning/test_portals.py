@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
-from gpdf_service.perception.surface import UNKNOWN
 from gpdf_service.planning.portals import bend_over, pull_over
 from gpdf_service.planning.routes import Leg
 from gpdf_service.planning.shape import lengths, resample
 from gpdf_service.synthetic import Box, World
+from gpdf_service.tiles.surface import UNKNOWN
 
 SPACING = 0.05
 HELD = 2.0, 3.0

@@ -8,9 +8,9 @@ import pytest
 
 import gpdf_service as gpdf
 from gpdf_service.bench.judge import Judge
-from gpdf_service.perception.surface import OBSERVED, UNKNOWN, Cells
 from gpdf_service.planning.shape import _straight_to, is_ground_known, is_level, stand_on, subdivide
 from gpdf_service.synthetic.world import Box, World
+from gpdf_service.tiles.surface import OBSERVED, UNKNOWN, Cells
 from gpdf_service.types import AGENTS
 
 

@@ -7,12 +7,12 @@ import pytest
 from scipy.spatial import cKDTree
 
 from gpdf_service.fields.tree import build_tree, change_tree
-from gpdf_service.perception.rows import rows_in_cells
-from gpdf_service.perception.surface import HeightMap
 from gpdf_service.search.change import rows_in_tree
 from gpdf_service.search.graph import change_edges, find_edges
 from gpdf_service.search.places import Places
 from gpdf_service.search.quadtree import build_quadtree, change_quadtree
+from gpdf_service.tiles.rows import rows_in_cells
+from gpdf_service.tiles.surface import HeightMap
 
 RADIUS = 0.2
 

@@ -9,7 +9,6 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from gpdf_service.fields import build_tree
-from gpdf_service.perception.surface import HeightMap
 from gpdf_service.search.graph import (
     KNOWN,
     Doors,
@@ -31,6 +30,7 @@ from gpdf_service.search.landmarks import find_landmarks
 from gpdf_service.search.patch import Nodes, around, patched
 from gpdf_service.search.places import Places
 from gpdf_service.search.quadtree import build_quadtree, change_quadtree
+from gpdf_service.tiles.surface import HeightMap
 
 
 def segment_distance(a, b, places):

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from gpdf_service.fields import build_tree
-from gpdf_service.perception.surface import OBSERVED, HeightMap
 from gpdf_service.search.lattice import (
     CELL_SHARES,
     COARSEST,
@@ -30,6 +29,7 @@ from gpdf_service.search.motion import is_motion_clear
 from gpdf_service.search.places import Places
 from gpdf_service.search.poses import Grid
 from gpdf_service.search.wavefront import TURNS, field_of, spread
+from gpdf_service.tiles.surface import OBSERVED, HeightMap
 
 BODY = _Body(np.array([-0.3, 0.0, 0.3]), 0.15)
 WAY = np.array([[3.0, 4.0], [4.0, 4.0], [4.0, 5.0]])

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from gpdf_service.fields import build_tree
-from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
 from gpdf_service.search.quadtree import build_quadtree, change_quadtree, least_width
+from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
 
 MIN_WIDTH, CELL_SHARE = 0.014, 0.2
 """[m] and [-]: what is promised, written down once more."""

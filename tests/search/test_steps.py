@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gpdf_service.perception.surface import OBSERVED, Cells
 from gpdf_service.search.steps import NOTICED_STEP, count_noticed, count_steps, is_near_step, is_stepped
+from gpdf_service.tiles.surface import OBSERVED, Cells
 
 
 def ground_of(steps):

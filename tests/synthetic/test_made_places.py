@@ -6,7 +6,7 @@ import pytest
 from gpdf_service.bench.exact import judge_path, worst_foot
 from gpdf_service.bench.houses import KINDS, on_ground, way_is_free
 from gpdf_service.cli import main
-from gpdf_service.perception import read_cloud
+from gpdf_service.clouds import read_cloud
 from gpdf_service.synthetic.houses import house
 from gpdf_service.synthetic.places import PLACES
 from gpdf_service.synthetic.scanners import NOISE, SCANNERS

@@ -10,7 +10,7 @@ from driving import until
 from gpdf_client import PlanResult, Trajectory, UnavailableError
 from gpdf_schemas import Array, CertificateMessage, Cylinder, MovingObstacle, Status
 
-from gpdf_service.perception.formats import READERS
+from gpdf_service.clouds.formats import READERS
 from gpdf_service.service.server import Options, Server
 from gpdf_service.types import AGENTS
 from gpdf_service.viewer import colours, words

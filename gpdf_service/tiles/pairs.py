@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields.tree import longer
-from gpdf_service.perception.rows import INDEX
+from gpdf_service.tiles.rows import INDEX
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))

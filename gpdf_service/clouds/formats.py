@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gpdf_service.clouds.ply import check_whole
 from gpdf_service.errors import CloudError
-from gpdf_service.perception.ply import check_whole
 from gpdf_service.types import BoolArray, FloatArray
 
 LAS_GROUND = 2

@@ -10,10 +10,10 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields.tree import longer
-from gpdf_service.perception.boxes import span
-from gpdf_service.perception.columns import by_cell
-from gpdf_service.perception.layers import columns_over
-from gpdf_service.perception.rows import (
+from gpdf_service.tiles.boxes import span
+from gpdf_service.tiles.columns import by_cell
+from gpdf_service.tiles.layers import columns_over
+from gpdf_service.tiles.rows import (
     INDEX,
     bounds_of,
     cells_in_box,

@@ -6,8 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.perception.pairs import AROUND, Columns
-from gpdf_service.perception.rows import INDEX
+from gpdf_service.tiles.pairs import AROUND, Columns
+from gpdf_service.tiles.rows import INDEX
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import open3d
 import pytest
 
+from gpdf_service.clouds import check_points, read_cloud
 from gpdf_service.errors import CloudError
-from gpdf_service.perception import check_points, read_cloud
 
 POINTS = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.5], [2.0, 1.0, 1.5]])
 

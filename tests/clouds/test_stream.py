@@ -8,9 +8,9 @@ import numpy as np
 import open3d
 import pytest
 
+from gpdf_service.clouds import read_cloud, stream
+from gpdf_service.clouds.stream import VoxelSieve, chunks_of
 from gpdf_service.errors import CloudError
-from gpdf_service.perception import read_cloud, stream
-from gpdf_service.perception.stream import VoxelSieve, chunks_of
 
 
 @pytest.fixture(autouse=True)
@@ -99,10 +99,10 @@ def test_memory_is_that_of_what_is_kept(tmp_path):
     code = """
 import resource, sys
 import numpy as np
-from gpdf_service.perception import read_cloud
+from gpdf_service.clouds import read_cloud
 def peak():
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-from gpdf_service.perception import stream
+from gpdf_service.clouds import stream
 stream.CHUNK = 50_000
 read_cloud(sys.argv[2], thin=0.1)
 before = peak()

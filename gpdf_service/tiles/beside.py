@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_parallel
-from gpdf_service.perception.boxes import Box, span
-from gpdf_service.perception.columns import box_spliced, box_unlike, unlike_cells
-from gpdf_service.perception.layers import Layers, crop_layers, flat
-from gpdf_service.perception.told import grown, within
+from gpdf_service.tiles.boxes import Box, span
+from gpdf_service.tiles.columns import box_spliced, box_unlike, unlike_cells
+from gpdf_service.tiles.layers import Layers, crop_layers, flat
+from gpdf_service.tiles.told import grown, within
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 ROWS = 16

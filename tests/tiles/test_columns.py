@@ -5,13 +5,14 @@ import pytest
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from gpdf_service.perception.boxes import highest_around, lowest_around, widened
-from gpdf_service.perception.columns import by_cell, ends_of_runs, kth_beside, unlike_cells
 from gpdf_service.perception.holes import find_rims, find_voids
-from gpdf_service.perception.layers import build_layers, nodes_of, splice_layers
 from gpdf_service.perception.levels import within_reach
 from gpdf_service.perception.limits import median_around
-from gpdf_service.perception.rows import (
+from gpdf_service.perception.strays import find_strays
+from gpdf_service.tiles.boxes import highest_around, lowest_around, widened
+from gpdf_service.tiles.columns import by_cell, ends_of_runs, kth_beside, unlike_cells
+from gpdf_service.tiles.layers import build_layers, nodes_of, splice_layers
+from gpdf_service.tiles.rows import (
     between,
     bounds_of,
     cells_of,
@@ -23,8 +24,7 @@ from gpdf_service.perception.rows import (
     rows_spliced,
     taken,
 )
-from gpdf_service.perception.strays import find_strays
-from gpdf_service.perception.surface import HeightMap, cells_within, nearest_seen
+from gpdf_service.tiles.surface import HeightMap, cells_within, nearest_seen
 
 CORNER, WIDTH, SHAPE = np.array([-1.0, -2.0]), 0.3, (21, 14)
 

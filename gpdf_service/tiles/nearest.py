@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from gpdf_service.perception.rows import INDEX
+from gpdf_service.tiles.rows import INDEX
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 

@@ -11,9 +11,9 @@ import pytest
 import trimesh
 
 from gpdf_service.cli import main
+from gpdf_service.clouds import formats, read_cloud
+from gpdf_service.clouds.frame import UP, look, odd_unit, odd_up, turn
 from gpdf_service.errors import CloudError
-from gpdf_service.perception import formats, read_cloud
-from gpdf_service.perception.frame import UP, look, odd_unit, odd_up, turn
 from gpdf_service.synthetic import SCENES, Box, World
 
 OFFICE = SCENES["office"](np.random.default_rng(0), spacing=0.12).points

@@ -8,12 +8,13 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.perception.beside import beside, beside_now
-from gpdf_service.perception.boxes import widened
 from gpdf_service.perception.bumps import raised_over_sides
-from gpdf_service.perception.columns import ends_in_plan, put_heights_in_plan
-from gpdf_service.perception.layers import build_layers, connect, crop_layers, steady
-from gpdf_service.perception.nodes import (
+from gpdf_service.perception.strides import find_stances, find_strides
+from gpdf_service.tiles.beside import beside, beside_now
+from gpdf_service.tiles.boxes import widened
+from gpdf_service.tiles.columns import ends_in_plan, put_heights_in_plan
+from gpdf_service.tiles.layers import build_layers, connect, crop_layers, steady
+from gpdf_service.tiles.nodes import (
     attach,
     components,
     drops_beside,
@@ -26,9 +27,8 @@ from gpdf_service.perception.nodes import (
     nodes_over,
     plan_sums,
 )
-from gpdf_service.perception.pairs import AROUND, steps_over_gaps
-from gpdf_service.perception.pieces import find_pieces
-from gpdf_service.perception.strides import find_stances, find_strides
+from gpdf_service.tiles.pairs import AROUND, steps_over_gaps
+from gpdf_service.tiles.pieces import find_pieces
 
 
 @pytest.fixture(scope="module")
@@ -185,7 +185,7 @@ def ask(near, far, config, looked=None):
 @pytest.mark.parametrize("rows", [3, 7, 64])
 def test_a_change_is_told_what_a_build_is_in_strips_of_any_size(rows, monkeypatch):
     """Questions of all kinds, of nodes with others in some columns and with something else given elsewhere."""
-    monkeypatch.setattr("gpdf_service.perception.beside.ROWS", rows)
+    monkeypatch.setattr("gpdf_service.tiles.beside.ROWS", rows)
     rng, config = np.random.default_rng(11), PerceptionConfig()
     cloud = rng.uniform(0.0, [4.0, 3.0, 2.0], (4000, 3))
     near, was = beside(build_layers(cloud, 0.1, 0.3)), 0

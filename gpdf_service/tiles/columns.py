@@ -10,8 +10,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.pairs import Columns
-from gpdf_service.perception.rows import INDEX
+from gpdf_service.tiles.pairs import Columns
+from gpdf_service.tiles.rows import INDEX
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 Grid = tuple[FloatArray, float, int, IntArray, FloatArray, int]

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpdf_service.perception.beside import Answer, Beside, Strips, each_strip, spans_of
-from gpdf_service.perception.nodes import components, count_labels, pairs_on, pieces_of
+from gpdf_service.tiles.beside import Answer, Beside, Strips, each_strip, spans_of
+from gpdf_service.tiles.nodes import components, count_labels, pairs_on, pieces_of
 from gpdf_service.types import BoolArray, IntArray
 
 

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gpdf_service.clouds.bag import read_bag
+from gpdf_service.clouds.formats import LAS_GROUND, READERS, Colours, Stored, as_bytes, greatest, ground_classes
+from gpdf_service.clouds.frame import look, odd_unit, odd_up, turn
+from gpdf_service.clouds.stream import VoxelSieve, chunks_of
 from gpdf_service.errors import CloudError, GpdfError, words_of
-from gpdf_service.perception.bag import read_bag
-from gpdf_service.perception.formats import LAS_GROUND, READERS, Colours, Stored, as_bytes, greatest, ground_classes
-from gpdf_service.perception.frame import look, odd_unit, odd_up, turn
-from gpdf_service.perception.rows import extent_of
-from gpdf_service.perception.stream import VoxelSieve, chunks_of
+from gpdf_service.tiles.rows import extent_of
 from gpdf_service.types import BoolArray, FloatArray
 
 BAGS = (".mcap", ".db3", ".bag")

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import ndimage
 
-from gpdf_service.perception.nearest import nearest_of
+from gpdf_service.tiles.nearest import nearest_of
 
 
 def test_the_nearest_cell_is_that_of_scipys_transform():

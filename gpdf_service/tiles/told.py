@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpdf_service.perception.boxes import Box, widened, window
+from gpdf_service.tiles.boxes import Box, widened, window
 from gpdf_service.types import BoolArray
 
 TILE = 64

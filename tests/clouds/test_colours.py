@@ -7,7 +7,7 @@ import pye57
 import pytest
 import trimesh
 
-from gpdf_service.perception import read_cloud, stream
+from gpdf_service.clouds import read_cloud, stream
 
 COUNT = 300
 """Too few for a cloud to be called odd."""

@@ -13,8 +13,8 @@ from scipy.spatial import cKDTree
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked, run_parallel
-from gpdf_service.perception.boxes import Box, widened, window
-from gpdf_service.perception.columns import (
+from gpdf_service.tiles.boxes import Box, widened, window
+from gpdf_service.tiles.columns import (
     Grid,
     by_cell,
     column_floors,
@@ -31,8 +31,8 @@ from gpdf_service.perception.columns import (
     values_spliced,
     write_nodes,
 )
-from gpdf_service.perception.pairs import Columns, pairs_at
-from gpdf_service.perception.rows import INDEX, bounds_of, cells_of, chosen_rows, rows_by_cell
+from gpdf_service.tiles.pairs import Columns, pairs_at
+from gpdf_service.tiles.rows import INDEX, bounds_of, cells_of, chosen_rows, rows_by_cell
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 MIN_CELL = 0.05

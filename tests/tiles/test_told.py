@@ -5,8 +5,8 @@ import pytest
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.holes import fill_holes
-from gpdf_service.perception.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, nearest_seen
-from gpdf_service.perception.told import boxes_of, grown, new_grid
+from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, nearest_seen
+from gpdf_service.tiles.told import boxes_of, grown, new_grid
 
 CELLS, WIDTH = (260, 240), 0.06
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from gpdf_service.perception.cloud import Cloud
-from gpdf_service.perception.points import points_of
-from gpdf_service.perception.rows import rows_in_cells
-from gpdf_service.perception.surface import OBSERVED, HeightMap
+from gpdf_service.tiles.points import points_of
+from gpdf_service.tiles.rows import rows_in_cells
+from gpdf_service.tiles.surface import OBSERVED, HeightMap
 
 
 def changed(rng, count, wide=12.0, versions=4):

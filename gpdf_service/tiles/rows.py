@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.tree import longer
-from gpdf_service.perception.boxes import span
+from gpdf_service.tiles.boxes import span
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 INDEX: Any = np.int32

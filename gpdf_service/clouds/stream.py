@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpdf_service.errors import CloudError
-from gpdf_service.perception.formats import (
+from gpdf_service.clouds.formats import (
     NPZ_COLOURS,
     Colours,
     as_bytes,
@@ -24,6 +23,7 @@ from gpdf_service.perception.formats import (
     las_points,
     record_colours,
 )
+from gpdf_service.errors import CloudError
 from gpdf_service.types import FloatArray, IntArray
 
 CHUNK = 1_000_000

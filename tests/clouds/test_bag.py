@@ -4,8 +4,8 @@ from gpdf_ros2 import messages
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from gpdf_service.cli import main
+from gpdf_service.clouds import read_cloud
 from gpdf_service.errors import CloudError
-from gpdf_service.perception import read_cloud
 
 POINTS = np.random.default_rng(0).uniform(-3, 3, (200, 3))
 STORAGES = [StoragePlugin.MCAP, StoragePlugin.SQLITE3]

@@ -11,10 +11,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.kernel_cache import lean
-from gpdf_service.perception.boxes import WHOLE, Box, corner_of
-from gpdf_service.perception.nearest import nearest_of
-from gpdf_service.perception.rows import cells_in_box
-from gpdf_service.perception.told import unlike
+from gpdf_service.tiles.boxes import WHOLE, Box, corner_of
+from gpdf_service.tiles.nearest import nearest_of
+from gpdf_service.tiles.rows import cells_in_box
+from gpdf_service.tiles.told import unlike
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 UNKNOWN, OBSERVED, INFERRED = 0, 1, 2
