@@ -99,12 +99,12 @@ def fill_holes(
     height, state = _fill_gaps(grid, "gaps", surface.height, surface.state, surface, noise)
 
     def notched(
-        _: Box, height: NDArray[np.float32], state: NDArray[np.uint8], seen_through: BoolArray, pit: BoolArray
+        _: Box, height: NDArray[np.float32], state: NDArray[np.uint8], beneath: BoolArray
     ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        made = fill_notches(replace(surface, height=height, state=state), seen_through, pit, config)
+        made = fill_notches(replace(surface, height=height, state=state), beneath, config)
         return made.height, made.state
 
-    given = height, state, seen_through, pit
+    given = height, state, seen_through | pit
     height, state = grid.around("notches", notches_reach(surface, config), notched, *given)
     known = state != UNKNOWN
     close = near.distance <= MAX_HOLE_RADIUS

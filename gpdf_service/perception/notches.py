@@ -20,16 +20,14 @@ from gpdf_service.types import BoolArray, FloatArray, IntArray
 STEEPEST_FLIGHT = 1.3
 """[-] Rise over run of the steepest stair, 52°; what rises more between two pieces of ground is another storey."""
 NOTCH_DEPTH = 0.35
-"""[m] How far a shadow is filled beside seen treads: less than half of the narrowest stair."""
-NOTCH_SPAN = 1.0
-"""[m] Longest piece of a flight that a shadow bites out: five treads."""
+"""[m] From what is seen below a shadow to the treads on either side: less than half of the narrowest stair."""
 FLIGHT = 2.0 * STRIDE
 """[m] From a flight's treads, within which a scan's notches are the flight's: two strides make a landing."""
 BENEATH_SHARE = 0.5
 """[-] Of a flight's seen treads: where under more of them the room below was seen, it was seen from its side."""
 
 
-def fill_notches(surface: HeightMap, seen_through: BoolArray, pit: BoolArray, config: PerceptionConfig) -> HeightMap:
+def fill_notches(surface: HeightMap, beneath: BoolArray, config: PerceptionConfig) -> HeightMap:
     """Fill what is unknown of a flight and no wider than a foot bridges, `widest_gap`: closing by a disc that wide.
 
     A nose hides the back of the tread below, and a scan from far shows strips. Such a place is of the tread around it,
@@ -41,17 +39,15 @@ def fill_notches(surface: HeightMap, seen_through: BoolArray, pit: BoolArray, co
 
     Args:
         surface: The ground.
-        seen_through: Cells under which something was seen, deeper than a floor is thick, shape (nx, ny).
-        pit: The same, deeper than a step only.
+        beneath: Cells under which something was seen, deeper than a step, shape (nx, ny).
         config: Limits.
     """
     flight, width = flights(surface, config.max_step, FLIGHT), surface.cell_width
-    box = window(flight, int((NOTCH_SPAN + NOTCH_DEPTH) / width) + 2)  # nothing else is filled, or tells what is
+    box = window(flight, int((3.0 * SOLE + 1.5 * config.widest_gap) / width) + 2)  # all that tells what is filled
     height, state = surface.height.copy(), surface.state.copy()
     own, known, flight = height[box], surface.state[box] != UNKNOWN, flight[box]
-    below, radius = seen_through[box] | pit[box], 0.5 * config.widest_gap / width
+    below, radius = beneath[box], 0.5 * config.widest_gap / width
     closed, narrow = (nearest_of(nearest_of(known)[0] > half)[0] > half for half in (radius, 0.5 * SOLE / width))
-    _fill_bitten(own, flight & ~seen_through[box], width)
     asked = closed & np.isnan(own) & flight
     asked &= (
         ~below | (narrow & _at_risers(own, asked, int(SOLE / width))) | _from_the_side(known & flight, below, width)
@@ -64,8 +60,8 @@ def fill_notches(surface: HeightMap, seen_through: BoolArray, pit: BoolArray, co
 
 
 def notches_reach(surface: HeightMap, config: PerceptionConfig) -> int:
-    """Cells within which the ground decides on a notch: flights, bites out of them, soles, and discs on these."""
-    lengths = FLIGHT, max(FLIGHT, NOTCH_SPAN + NOTCH_DEPTH), 3.0 * SOLE, 1.5 * config.widest_gap
+    """Cells within which the ground decides on a notch: flights, what was seen beneath them, soles, discs on these."""
+    lengths = FLIGHT, FLIGHT, 3.0 * SOLE, 1.5 * config.widest_gap
     return sum(int(length / surface.cell_width) + 2 for length in lengths)
 
 
@@ -147,34 +143,6 @@ def _closes(height: NDArray[np.float32], x: int, y: int, disc: IntArray, low: fl
         if empty:
             return False
     return True
-
-
-@njit(cache=True, nogil=True)
-def _fill_bitten(height: NDArray[np.float32], asked: BoolArray, cell_width: float) -> None:
-    """Fill what a shadow bites out of a flight: uphill and downhill there is ground, and the tread itself beside.
-
-    At one end or both the flight beside is as high: one that lies across the grid at an angle stays as it was seen.
-    """
-    (nx, ny), most, depth = height.shape, int(NOTCH_SPAN / cell_width) + 1, int(NOTCH_DEPTH / cell_width)
-    seen, half = height.copy(), np.float32(0.5) * np.float32(cell_width)
-    for x in range(nx):
-        for y in range(ny):
-            for dx, dy in ((1, 0), (0, 1)):
-                if not (asked[x, y] and np.isnan(height[x, y])):
-                    break
-                ahead, on, behind, back = _both_sides(seen, x, y, dx, dy, most, most)
-                run, low, high = (on + back) * cell_width, min(ahead, behind), max(ahead, behind)
-                if not 0.0 < run <= NOTCH_SPAN or not 2.0 * cell_width < high - low <= STEEPEST_FLIGHT * run:
-                    continue
-                for way in (-1, 1):
-                    tread, beside = _next_known(seen, x, y, way * dy, way * dx, depth)
-                    if beside == 0 or not low + half < tread < high - half:
-                        continue
-                    u, v = x + beside * way * dy, y + beside * way * dx
-                    up = abs(seen[u + on * dx, v + on * dy] - ahead)
-                    down = abs(seen[u - back * dx, v - back * dy] - behind)
-                    if min(up, down) <= half:
-                        height[x, y] = tread
 
 
 def between_treads(surface: HeightMap, asked: BoolArray, stair_step: float) -> BoolArray:

@@ -397,16 +397,21 @@ def undersides(near: Beside, parts: Parts, config: PerceptionConfig) -> tuple[St
     beneath the next one by its nosing alone), and more of it has something below it than strays are: the floor has not.
     What is left of a part of which that is the most, and what that is around, are pieces by themselves: where the
     slab's top has holes in its scan, and a stair's last tread, where that is as high as the underside beside it. See
-    `without_ceilings`.
+    `without_ceilings`. So is what is left where more of it is seen under a floor, larger than furniture, than over an
+    underside of its own: nobody saw most of the slab's top.
     """
-    layers = near.layers
+    layers, floors = near.layers, parts.size * near.layers.cell_width**2 > TABLE_AREA
 
-    def beneath(layers: Layers, _: BoolArray, room: BoolArray) -> Answer:
+    def beneath(layers: Layers, _: BoolArray, room: BoolArray, floor: BoolArray) -> Answer:
         over, found = np.r_[False, layers.cell[1:] == layers.cell[:-1]], np.zeros(len(room), dtype=bool)
-        found[:-1] = ~room[:-1] & room[1:] & over[1:] & (np.diff(layers.height) <= config.max_step)
-        return found, found & over
+        low, top, ceiling = found.copy(), found.copy(), found.copy()
+        low[:-1] = over[1:] & (np.diff(layers.height) <= config.max_step)
+        found[:-1] = low[:-1] & ~room[:-1] & room[1:]
+        ceiling[:-1], top[1:] = found[:-1] & floor[1:], low[:-1] & room[1:]
+        return found, found & over, ceiling, top
 
-    slab, aloft = near.around("slabs", 0, beneath, parts.keep)
+    over = parts.pieces.chosen("floors over slabs", floors)
+    slab, aloft, ceiling, top = near.around("slabs", 0, beneath, parts.keep, over)
     pieces = find_pieces(near, "slabs", slab, parts.rise)
 
     def add(own: slice, label: IntArray, labels: int, slab: BoolArray) -> FloatArray:
@@ -416,8 +421,9 @@ def undersides(near: Beside, parts: Parts, config: PerceptionConfig) -> tuple[St
     depth = extents_of(pieces.totals("slabs", add, slab), layers.cell_width)[1]
     size, lies = pieces.counts("slabs aloft", slab, aloft)
     under = pieces.chosen("slabs", (depth >= config.standing_width) & (lies > OVER_SHARE * size))
-    of_parts, all_ = parts.counts("undersides", under, parts.flat)
-    hangs = _share(of_parts, all_) >= 0.5
+    (hidden,) = near.around("under floors", 0, lambda _, __, under, ceiling: (under & ceiling,), under, ceiling)
+    of_parts, all_, hung, tops = parts.counts("undersides", under, parts.flat, hidden, top)
+    hangs = (_share(of_parts, all_) >= 0.5) | (hung > tops)
     hangs[-1] = False
 
     def without(_: Layers, __: BoolArray, *given: BoolArray) -> Answer:

@@ -586,15 +586,18 @@ def test_two_floors_that_a_gentle_stair_joins_are_two_levels():
     assert plan(scene, (3.0, 3.0, 2.8), (4.0, 3.0, 2.8)).status is Status.OK
 
 
-def car_park(slab=0.25):
-    """Two decks 2.9 m apart, a `slab` thick, that a ramp joins, as scanners on each saw them, which are blind below."""
+def car_park(slab=0.25, unseen=0.0):
+    """Two decks 2.9 m apart, a `slab` thick, that a ramp joins, as scanners on each saw them, which are blind below.
+
+    Of the upper one's top so many metres are `unseen`.
+    """
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0.0, 16.0, 0.05), np.arange(0.0, 6.0, 0.05)))
     deck, ramp = x < 8.0, (x >= 8.0) & (y < 3.0)
     blind = np.hypot(x - 4.0, y - 4.0) < 0.6
     surfaces = [
         (~(ramp & (x < 14.0)) & ~blind, 0.0 * x),
         (ramp & (x < 14.0), 2.9 * (14.0 - x) / 6.0),
-        (deck & (np.hypot(x - 4.0, y - 1.5) > 0.6), 0.0 * x + 2.9),
+        (deck & (x >= unseen) & (np.hypot(x - 4.0, y - 1.5) > 0.6), 0.0 * x + 2.9),
         (deck, 0.0 * x + 2.9 - slab),
     ]
     return np.concatenate([np.column_stack([x[seen], y[seen], z[seen]]) for seen, z in surfaces])
@@ -607,6 +610,17 @@ def test_a_slab_seen_from_below_through_the_hole_in_the_scan_of_its_top_is_no_gr
     assert np.nanmin(np.abs(heights - 2.9 + slab)) > 0.2
     assert np.nanmin(np.abs(heights - 2.9)) < 0.01  # the slab is there: its top is inferred
     assert plan(scene, (4.0, 0.6, 2.9), (4.0, 2.4, 2.9)).status is Status.OK
+
+
+def test_a_slab_of_which_the_top_was_mostly_not_seen_is_no_ground_where_it_was_not():
+    points = car_park(unseen=5.6)
+    scene, (x, y, z) = build_scene(points), points.T
+    under = np.abs(z - 2.65) < 0.01
+    assert segment_ground(points)[under].mean() < 0.02
+    places = points[under & (x < 5.0)][:, :2]
+    heights = np.array([surface.height_at(places) for surface in scene.surfaces])
+    assert not (np.abs(heights - 2.65) < 0.2).any()
+    assert plan(scene, (3.0, 4.0, 0.0), (7.0, 4.0, 2.9)).status is Status.OK  # over the ramp
 
 
 @pytest.mark.parametrize("deep", [0.0, 0.45, 0.9])

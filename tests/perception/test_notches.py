@@ -17,7 +17,7 @@ def filled(height, below=None):
     state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
     none = np.zeros(height.shape, dtype=bool)
     surface = HeightMap(np.zeros(2), WIDTH, height.astype(np.float32), state)
-    made = fill_notches(surface, none if below is None else below, none, PerceptionConfig())
+    made = fill_notches(surface, none if below is None else below, PerceptionConfig())
     return made.height, made.state
 
 
