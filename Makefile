@@ -20,12 +20,13 @@ unexport PYTHONDONTWRITEBYTECODE
 
 install: .venv/warm
 
+# What is imported is compiled then: pip would compile 10,500 files, 25 s of one core while the others wait.
 .venv/installed: pyproject.toml constraints.txt
 	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) is not on the PATH: install Python 3.11, or name one: make PYTHON=/path/to/python3.11"; exit 1; }
 	@$(MAKE) --no-print-directory system
 	$(PYTHON) -m venv .venv
 	$(PY) -m pip install --quiet --constraint constraints.txt --upgrade pip
-	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[all]' --group dev
+	$(PY) -m pip install --quiet --no-compile --constraint constraints.txt --editable '.[all]' --group dev
 	@touch $@
 
 # Compiling takes all cores for minutes, once. What a change of a kernel touches comes again.

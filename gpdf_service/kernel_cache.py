@@ -19,7 +19,7 @@ from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any, TypeVar
 
-from numba import config, njit
+from numba import config, njit, types
 from numba.core import caching
 from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
 from numba.core.compiler_lock import global_compiler_lock
@@ -105,6 +105,20 @@ class Index(caching.IndexDataCacheFile):  # type: ignore[misc]
 
 
 caching.IndexDataCacheFile = Index  # type: ignore[misc]
+
+_template_of_call: Any = Dispatcher.get_call_template
+
+
+def _for_all_numbers(own: Any, args: Iterable[object], kws: dict[str, object]) -> Any:  # noqa: ANN401
+    """What a kernel calls is compiled for numbers, and not once more for each number that stands in a call.
+
+    Of `count = 0; count = add(count)` in a loop Numba compiles `add` for a zero at first, and drops it in the end.
+    """
+    of: Any = types.unliteral if _is_ours(own.py_func.__code__.co_filename) else lambda kind: kind
+    return _template_of_call(own, tuple(map(of, args)), {name: of(kind) for name, kind in kws.items()})
+
+
+Dispatcher.get_call_template = _for_all_numbers  # type: ignore[assignment, method-assign]
 
 
 @cache

@@ -154,6 +154,17 @@ def test_a_change_of_what_no_kernel_can_call_compiles_nothing_and_of_what_makes_
     assert ask()[:2] == [[22, 7, -10], [0, 0, 1]]
 
 
+def test_a_kernel_is_compiled_for_numbers_and_not_for_each_that_stands_in_a_call(small, ask):
+    (small / "low/apart.py").write_text(
+        "from numba import njit\n\n\n@njit(cache=True)\ndef added(x, y):\n    return x + y\n\n\n"
+        "@njit(cache=True)\ndef total(count):\n    made = 0\n    for _ in range(count):\n"
+        "        made = added(made, 1)\n    return made\n\n\n"
+        "class apart:\n    stats = added.stats\n\n    def __new__(cls, x):\n        return total(x)\n"
+    )
+    made, compiled = ask()[:2]
+    assert (made[1], compiled[1]) == (7, 1)
+
+
 @pytest.mark.parametrize("told", [True, False])
 def test_kernels_are_kept_where_numba_is_told_or_for_the_user_where_the_package_cannot_be_written_to(small, ask, told):
     if not told:

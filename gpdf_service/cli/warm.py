@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import sys
 import time
@@ -44,8 +45,10 @@ class _Counter(Listener):  # type: ignore[misc]  # Numba has no types
 
 def _begin(folder: Path, compiled: Synchronized[int]) -> None:
     """What each process does first."""
+    from gpdf_service.cli import GARBAGE
     from gpdf_service.kernel_cache import compile_in_turn
 
+    gc.set_threshold(GARBAGE)
     end_with_parent()
     compile_in_turn(folder)
     register("numba:compile", _Counter(compiled))  # type: ignore[no-untyped-call]
@@ -60,7 +63,8 @@ def _run_step(name: str) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run what needs the kernels; most of the time, if there is any to speak of, goes into compiling them.
 
-    A process a core takes one step after the other: each begins with kernels that others do not need.
+    Each process takes one step after the other: they begin with kernels that others do not need. There is one more than
+    there are cores: of two a quarter of the time goes into waiting for what the other one compiles.
     """
     from gpdf_service.kernel_cache import forget_others, kernels
     from gpdf_service.warm import Warming
@@ -69,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     compiled = context.Value("i", 0)
     with (
         TemporaryDirectory() as folder,
-        ProcessPoolExecutor(worker_count(), context, _begin, (Path(folder), compiled)) as pool,
+        ProcessPoolExecutor(worker_count() + 1, context, _begin, (Path(folder), compiled)) as pool,
         tqdm(
             total=len(list(kernels())),
             desc="kernels",

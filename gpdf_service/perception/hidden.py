@@ -41,7 +41,7 @@ def without_hidden(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> H
     shown = (room > 1.0) & (room <= MAX_HOLE_RADIUS / surface.cell_width) & (front <= room + 1.0)
     wide = ndimage.binary_dilation((surface.state != OBSERVED) & ~face, _BESIDE)
     asked = (surface.state == INFERRED) & wide
-    return without(surface, _discs(np.argwhere(shown), room, asked) & asked)
+    return without(surface, _discs(np.ascontiguousarray(np.argwhere(shown)), room, asked) & asked)
 
 
 def find_faces(surface: HeightMap, cell: IntArray, z: FloatArray, headroom: float) -> BoolArray:

@@ -311,7 +311,7 @@ def _fill_planes(
         box, label, shut = _pieces_near(holes, ends, again, filled)
         height, state = ground[0][box].copy(), ground[1][box].copy()
         start, order = by_cell(label.ravel(), len(shut))
-        _fill(height, state, (label, start, order), np.flatnonzero(shut), known[box], cell_width)
+        _fill(height, state, (label, start, order), np.flatnonzero(shut), np.ascontiguousarray(known[box]), cell_width)
         parts.append((box, (height, state)))
     height, state = grid.put(name, given, again, parts)
     return height, state

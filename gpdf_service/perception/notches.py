@@ -45,17 +45,17 @@ def fill_notches(surface: HeightMap, beneath: BoolArray, config: PerceptionConfi
     flight, width = flights(surface, config.max_step, FLIGHT), surface.cell_width
     box = window(flight, int((3.0 * SOLE + 1.5 * config.widest_gap) / width) + 2)  # all that tells what is filled
     height, state = surface.height.copy(), surface.state.copy()
-    own, known, flight = height[box], surface.state[box] != UNKNOWN, flight[box]
+    own, known, flight = np.ascontiguousarray(height[box]), surface.state[box] != UNKNOWN, flight[box]
     below, radius = beneath[box], 0.5 * config.widest_gap / width
     closed, narrow = (nearest_of(nearest_of(known)[0] > half)[0] > half for half in (radius, 0.5 * SOLE / width))
     asked = closed & np.isnan(own) & flight
     asked &= (
         ~below | (narrow & _at_risers(own, asked, int(SOLE / width))) | _from_the_side(known & flight, below, width)
     )
-    cells, discs = np.argwhere(asked), (_disc(2.0 * radius), _disc(radius))
+    cells, discs = np.ascontiguousarray(np.argwhere(asked)), (_disc(2.0 * radius), _disc(radius))
     rise = np.where(_as_wide_as_a_sole(~np.isnan(own), width), config.stair_step, 0.0)
     own[tuple(cells.T)] = _treads(own, rise, cells, *discs, 0.5 * width)
-    state[box][known != ~np.isnan(own)] = INFERRED
+    height[box], state[box][known != ~np.isnan(own)] = own, INFERRED
     return replace(surface, height=height, state=state)
 
 
@@ -152,7 +152,8 @@ def between_treads(surface: HeightMap, asked: BoolArray, stair_step: float) -> B
     at most [m].
     """
     found, most = np.zeros_like(asked), int(NOTCH_DEPTH / surface.cell_width)
-    _between_treads(surface.height, np.argwhere(asked), most, surface.cell_width, stair_step, found)
+    cells = np.ascontiguousarray(np.argwhere(asked))
+    _between_treads(surface.height, cells, most, surface.cell_width, stair_step, found)
     return found
 
 

@@ -141,7 +141,7 @@ def _count_held(path: FloatArray, own: Leg, level: int) -> int:
     """
     space = own.space
     grounds = space.surfaces[own.level].arrays, space.surfaces[level].arrays
-    return int(_count_on_both(path, *grounds, space.trees[level], space.radius))
+    return int(_count_on_both(np.ascontiguousarray(path), *grounds, space.trees[level], space.radius))
 
 
 @njit(cache=True, nogil=True)

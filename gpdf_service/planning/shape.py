@@ -108,11 +108,12 @@ def pull(path: FloatArray, obstacles: Places, radius: float, ground: Cells) -> F
 
     It keeps a `radius` [m] from the obstacles.
     """
-    rows = _shortcut(path, obstacles, radius, CENTRE, ground)
+    centre = np.zeros(1)  # `CENTRE` itself is of a type that cannot be written to
+    rows = _shortcut(path, obstacles, radius, centre, ground)
     if len(rows) == 2:  # straight, seen from either end
         return path[rows]
     back = np.ascontiguousarray(subdivide(path[rows], NARROW)[::-1])
-    return np.ascontiguousarray(back[_shortcut(back, obstacles, radius, CENTRE, ground)][::-1])
+    return np.ascontiguousarray(back[_shortcut(back, obstacles, radius, centre, ground)][::-1])
 
 
 @njit(cache=True, nogil=True)
@@ -214,7 +215,7 @@ def resample(path: FloatArray, spacing: float) -> FloatArray:
 @njit(cache=True, nogil=True)
 def waypoints(path: FloatArray, spacing: float, ground: Cells, height: float) -> FloatArray:
     """Waypoints of the body's top over a polyline in plan, (n, ≥ 2); none where nothing moves or ground is unknown."""
-    seed, moves = resample(path[:, :2], spacing), False
+    seed, moves = resample(np.ascontiguousarray(path[:, :2]), spacing), False
     made = np.empty((len(seed), 3))
     for i in range(len(path)):
         moves |= abs(path[i, 0] - path[0, 0]) > SAME or abs(path[i, 1] - path[0, 1]) > SAME

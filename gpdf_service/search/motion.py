@@ -216,9 +216,9 @@ def leap(a: FloatArray, b: FloatArray) -> FloatArray:
 @njit(cache=True, nogil=True)
 def is_leap_clear(obstacles: Places, a: FloatArray, b: FloatArray, offsets: FloatArray, radius: float) -> bool:
     """Whether the body may go from pose a to pose b by a `leap`."""
-    before = a
-    for after in leap(a, b):
-        if not is_motion_clear(obstacles, before, after, offsets, radius):
+    before, way = a, leap(a, b)
+    for i in range(len(way)):  # a loop over its rows themselves would not know that they are in one piece
+        if not is_motion_clear(obstacles, before, way[i], offsets, radius):
             return False
-        before = after
+        before = way[i]
     return True

@@ -108,9 +108,10 @@ def without(surface: HeightMap, cells: BoolArray) -> HeightMap:
 
 
 def cropped(surface: HeightMap, box: Box) -> HeightMap:
-    """A box of cells of a height map."""
+    """A box of cells of a height map; in one piece, as whole maps are: no kernel is compiled once more for it."""
     origin = surface.origin + surface.cell_width * np.array(corner_of(box))
-    return HeightMap(origin, surface.cell_width, surface.height[box], surface.state[box])
+    height, state = np.ascontiguousarray(surface.height[box]), np.ascontiguousarray(surface.state[box])
+    return HeightMap(origin, surface.cell_width, height, state)
 
 
 def cells_within(points: FloatArray, surface: HeightMap, box: Box = WHOLE) -> IntArray:

@@ -121,8 +121,8 @@ class Grid:
         def parts() -> Iterable[tuple[Box, tuple[NDArray[Any], ...]]]:
             for box in boxes_of(felt, reach):
                 outer = grown(box, reach, felt.shape)
-                own = within(box, outer)
-                yield box, tuple(each[own] for each in answer(outer, *(each[outer] for each in given)))
+                own, there = within(box, outer), [np.ascontiguousarray(each[outer]) for each in given]
+                yield box, tuple(each[own] for each in answer(outer, *there))
 
         return self.put(name, given, felt, parts())
 
