@@ -1,4 +1,4 @@
-"""Points in cubic cells, with the sums of their powers, and sweeps over each cell and the 26 around it.
+"""Points in cubic cells, the sums of their powers, and sweeps over each cell and the 26 around it.
 
 Cells are kept by one number each, ascending; a neighbour's is that number and a constant. So sweeps over all cells find
 their neighbours by pointers that only go forward: work and memory are those of the points, however far these lie apart.
@@ -35,7 +35,6 @@ class Cells(NamedTuple):
         places: The points in that order, from `corner` [m], shape (n, 3).
         begin: Where each cell's points begin there, shape (m + 1,).
         key: Number of each cell, ascending, shape (m,).
-        moments: Sums over each cell's points of 1, x, y, z, x², y², z², xy, xz, yz from its centre, shape (m, 10).
         corner: Lower corner of cell 0 [m], shape (3,).
         width: Of the cells [m].
         strides: By how much the number grows with a cell in x, and in y, shape (2,).
@@ -45,7 +44,6 @@ class Cells(NamedTuple):
     places: FloatArray
     begin: IntArray
     key: IntArray
-    moments: FloatArray
     corner: FloatArray
     width: float
     strides: IntArray
@@ -63,10 +61,7 @@ def sort_into_cells(points: FloatArray, width: float) -> Cells:
     order = order_by(key)
     places = np.empty((len(points), 3))
     begin, own = _runs(points, corner, key, order, places)
-    moments = np.zeros((len(own), 10))
-    cells = Cells(order, places, begin, own, moments, corner, width, strides)
-    run_chunked(lambda a, b: _sum_cells(cells, a, b), len(own))
-    return cells
+    return Cells(order, places, begin, own, corner, width, strides)
 
 
 @njit(cache=True, nogil=True)
@@ -96,12 +91,19 @@ def _runs(
     return begin[: m + 1].copy(), own[:m].copy()
 
 
-@njit(cache=True, nogil=True)
-def _sum_cells(cells: Cells, begin: int, end: int) -> None:
+def sum_cells(cells: Cells) -> FloatArray:
+    """Sums over each cell's points of 1, x, y, z, x², y², z², xy, xz, yz from its centre, shape (m, 10)."""
+    moments = np.zeros((len(cells.key), 10))
+    run_chunked(lambda a, b: _sum_range(cells, moments, a, b), len(moments))
+    return moments
+
+
+@lean()
+def _sum_range(cells: Cells, moments: FloatArray, begin: int, end: int) -> None:
     for c in range(begin, end):
         x, y, z = centre_of(cells, c)
         for i in range(cells.begin[c], cells.begin[c + 1]):
-            add(cells.moments[c], cells.places[i, 0] - x, cells.places[i, 1] - y, cells.places[i, 2] - z)
+            add(moments[c], cells.places[i, 0] - x, cells.places[i, 1] - y, cells.places[i, 2] - z)
 
 
 @lean()
@@ -139,15 +141,11 @@ def look_around(cells: Cells, c: int, at: IntArray, near: IntArray) -> None:
     """
     key, m = cells.key, len(cells.key)
     for j in range(9):
-        target, p = key[c] + at[1, j], at[0, j]
-        while p < m and key[p] < target:
-            p += 1
-        at[0, j] = p
+        p = _begin_of(cells, c, at, j)
         for k in range(3):
-            near[3 * j + k] = -1
-            if p < m and key[p] == target + k:
-                near[3 * j + k] = p
-                p += 1
+            there = p < m and key[p] == key[c] + at[1, j] + k
+            near[3 * j + k] = p if there else -1
+            p += there
 
 
 @lean()
@@ -157,14 +155,14 @@ def offset_of(cells: Cells, j: int) -> tuple[float, float, float]:
 
 
 @lean()
-def sum_window(cells: Cells, near: IntArray, total: FloatArray) -> None:
+def sum_window(cells: Cells, moments: FloatArray, near: IntArray, total: FloatArray) -> None:
     """Write the sums over a cell and those around it from its centre, shape (10,)."""
     total[:] = 0.0
     for j in range(AROUND):
         if near[j] < 0:
             continue
         a, b, c = offset_of(cells, j)
-        m = cells.moments[near[j]]
+        m = moments[near[j]]
         n = m[0]
         total[0] += n
         total[1] += m[1] + n * a
@@ -287,12 +285,31 @@ def runs_within(cells: Cells, c: int, rings: int, at: IntArray, runs: IntArray) 
 
 
 @lean()
+def count_in(runs: IntArray) -> int:
+    """How many places some runs hold."""
+    count = 0
+    for run in runs:
+        count += run[1] - run[0]
+    return count
+
+
+@lean()
 def _go_on(cells: Cells, c: int, high: int, at: IntArray, column: int) -> tuple[int, int]:
     """Where a column around cell c begins, and ends `high` cells over its lowest one."""
-    key, m, lowest, first = cells.key, len(cells.key), cells.key[c] + at[1, column], at[0, column]
+    key, m, first = cells.key, len(cells.key), _begin_of(cells, c, at, column)
+    last, highest = first, key[c] + at[1, column] + high
+    for _ in range(high + 1):
+        last += last < m and key[last] <= highest
+    return first, last
+
+
+@lean()
+def _begin_of(cells: Cells, c: int, at: IntArray, column: int) -> int:
+    """Where a column around cell c begins; sums in place of branches, for how far that is off the last is by chance."""
+    key, m, first, lowest = cells.key, len(cells.key), at[0, column], cells.key[c] + at[1, column]
+    for _ in range(2):
+        first += first < m and key[first] < lowest
     while first < m and key[first] < lowest:
         first += 1
-    at[0, column] = last = first
-    while last < m and key[last] <= lowest + high:
-        last += 1
-    return first, last
+    at[0, column] = first
+    return int(first)

@@ -102,9 +102,12 @@ def denoise(points: FloatArray, parts: BoolArray | None = None, noise: float | N
     parts = np.zeros(len(points), dtype=bool) if parts is None else parts
     made = as_measured(points.copy(), noise)
     for part, things in ((parts, False), (~parts, True)):
-        if np.count_nonzero(part) > FEWEST:
-            for whole, own in zip(_arrays(made), _arrays(_denoise_part(points[part], noise, things)), strict=True):
-                whole[part] = own
+        rows = np.flatnonzero(part)
+        if len(rows) > FEWEST:
+            for whole, own in zip(
+                _arrays(made), _arrays(_denoise_part(points.take(rows, 0), noise, things)), strict=True
+            ):
+                whole[rows] = own
     return made
 
 

@@ -50,7 +50,7 @@ def place_at_edges(windows: Windows, placed: Placed) -> None:
 def _edge_range(windows: Windows, flat: BoolArray, placed: Placed, begin: int, end: int) -> None:
     cells, sigma, planes, _ = windows
     near, beside = np.empty(AROUND, np.int64), np.empty((2 * _RINGS + 1) ** 3, np.int64)
-    room, rows = make_room(len(beside)), np.empty(MOST, np.int64)
+    room, own, rows = make_room(len(beside)), make_room(VOTES), np.empty(MOST, np.int64)
     at, wide = begin_sweep(cells, begin), begin_sweep(cells, begin, _RINGS)
     for c in range(begin, end):
         if not holds_any(cells, c, placed.pending):
@@ -64,22 +64,21 @@ def _edge_range(windows: Windows, flat: BoolArray, placed: Placed, begin: int, e
         for j in beside[: cells_within(cells, c, _RINGS, wide, beside)]:
             if flat[j]:
                 a, b, d = centre_of(cells, j)
-                count = add_vote(planes[j, 0], (a - x, b - y, d - z), cells.width, sigma, room.votes, count)
+                count = add_vote(planes[j, 0], (a - x, b - y, d - z), cells.width, sigma, room.cast, count)
         kinds = cluster(room, count, cells.width, sigma) if count > 0 else 0
         if kinds == 0 or (kinds == 1 and least > _explained(sigma, number)):
             continue
         sum_known(room.found[:kinds], cells.width, sigma, room.known)
         fit_by_turns(sigma, cells.width, room, about.shape[1], kinds)
         rest = _rest(about, _HALF * cells.width, room, kinds)
-        if rest <= _explained(sigma, number) and not _bends(windows, near, about, kinds, rest):
+        if rest <= _explained(sigma, number) and not _bends(windows, near, about, own, kinds, rest):
             place_points(windows, c, room, kinds, placed)
 
 
-@njit(cache=True, nogil=True)
-def _bends(windows: Windows, near: IntArray, about: FloatArray, kinds: int, rest: float) -> bool:
+@lean()
+def _bends(windows: Windows, near: IntArray, about: FloatArray, room: Room, kinds: int, rest: float) -> bool:
     """Whether no more planes, of the windows right around, leave less: then the surface bends, and goes not on."""
-    room = make_room(VOTES)
-    own = cluster(room, collect(windows, near, room.votes), windows.cells.width, windows.sigma)
+    own = cluster(room, collect(windows, near, room.cast), windows.cells.width, windows.sigma)
     if own == 0 or own > kinds:
         return own == 0
     return bool(_rest(about, _HALF * windows.cells.width, room, own) < rest)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.denoise.cells import Cells, begin_sweep, runs_within, sort_into_cells
+from gpdf_service.denoise.cells import Cells, begin_sweep, count_in, runs_within, sort_into_cells
 from gpdf_service.denoise.cloud import HIDDEN, RESOLVED, Denoised
 from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.threads import run_chunked
@@ -24,8 +24,8 @@ from gpdf_service.fields.tree import VECTORS, lesser
 from gpdf_service.kernel_cache import lean
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
-_RINGS = 2
-"""Cells off its own in which a point's surface is looked for: 4 σ and more."""
+_AROUND = 4.0
+"""[-] Standard deviations off a point that its surface is looked for at least."""
 _STEEPEST = 0.5 * 5.0**2
 """[-] r² / 2 σ² of a point r off its surface: one in 1.7 million is further than five standard deviations."""
 _CHANCE = 3.0
@@ -59,18 +59,19 @@ def return_explained(
     rows = np.flatnonzero((part | shown) & ~cured.stray)
     if len(rows) == 0 or cured.measured <= _TOLD * spacing:
         return
-    sigma, width = cured.local[rows], RESOLVED * cured.measured
+    sigma, measured, places = cured.local[rows], points.take(rows, 0), cured.points.take(rows, 0)
     vague = cured.vague[rows] | (cured.noise[rows] > HIDDEN * sigma)
-    near, alone = sort_into_cells(cured.points[rows], width), vague.copy()
+    near, alone = sort_into_cells(places, RESOLVED * cured.measured), vague.copy()
     run_chunked(partial(_alone_range, near, vague, sigma, alone), len(near.key))
-    cells = sort_into_cells(points[rows], width)
+    rings = 1 if cured.measured < spacing else 2  # narrower cells would hold hardly a point each
+    cells = sort_into_cells(measured, _AROUND * cured.measured / rings)
     rows, doubtful, sigma = rows[cells.order], alone[cells.order], sigma[cells.order]  # all in this order from here on
-    places, around = cured.points[rows], np.empty((len(rows), 4))
+    places, around = places.take(cells.order, 0), np.empty((len(rows), 4))
     for thin in (False, True):
         moved, told = np.zeros(len(rows), dtype=bool), places - cells.corner
         if thin:
             told[doubtful] = around[doubtful, 1:]
-        asked = _Asked(cells, doubtful, part[rows], sigma, apart, told, around, thin)
+        asked = _Asked(cells, rings, doubtful, part[rows], sigma, apart, told, around, thin)
         run_chunked(partial(_explain_range, asked, places, moved), len(cells.key))
         doubtful &= ~moved
     cured.points[rows] = places
@@ -112,6 +113,7 @@ class _Asked(NamedTuple):
 
     Attributes:
         cells: Of the points as they were measured.
+        rings: Cells off its own that a point's surface is looked for in.
         doubtful: Those that are asked about, shape (n,).
         own: Those of which the doubtful are asked about, shape (n,).
         sigma: Noise of each point [m], shape (n,).
@@ -122,6 +124,7 @@ class _Asked(NamedTuple):
     """
 
     cells: Cells
+    rings: int
     doubtful: BoolArray
     own: BoolArray
     sigma: FloatArray
@@ -155,9 +158,7 @@ def _make_room(count: int) -> _Room:
 @njit(cache=True, nogil=True)
 def _enough(room: _Room, runs: IntArray) -> _Room:
     """The room, or a larger one: for all points of the runs."""
-    count = 0
-    for run in runs:
-        count += run[1] - run[0]
+    count = count_in(runs)
     return room if count <= len(room.rows) else _make_room(2 * count)
 
 
@@ -199,13 +200,14 @@ def _explain_range(asked: _Asked, places: FloatArray, moved: BoolArray, begin: i
     expected at x + σ² ∇ log p (Tweedie, 1956; Efron, 2011). With p smoothed by σ itself, which makes it wider and the
     step shorter, that is this mean.
     """
-    (cells, doubtful), none, room, mean = asked[:2], np.zeros_like(asked.doubtful), _make_room(0), np.empty(3)
-    runs, at = np.empty(((2 * _RINGS + 1) ** 2, 2), np.int64), begin_sweep(cells, begin, _RINGS)
+    (cells, _, doubtful), none, room, mean = asked[:3], np.zeros_like(asked.doubtful), _make_room(0), np.empty(3)
+    at = begin_sweep(cells, begin, asked.rings)
+    runs = np.empty((at.shape[1], 2), np.int64)
     for c in range(begin, end):
         first, last = cells.begin[c], cells.begin[c + 1]
         if not doubtful[first:last].any():
             continue
-        around = runs[: runs_within(cells, c, _RINGS, at, runs)]
+        around = runs[: runs_within(cells, c, asked.rings, at, runs)]
         room = _enough(room, around)
         if not asked.thin:
             measured = _look(cells.places, none, around, room)

@@ -58,7 +58,7 @@ def _place_range(windows: Windows, placed: Placed, least: int, begin: int, end: 
         if not holds_any(cells, c, placed.pending):
             continue
         look_around(cells, c, at, near)
-        count = collect(windows, near, room.votes)
+        count = collect(windows, near, room.cast)
         if count <= least:
             continue
         kinds = cluster(room, count, cells.width, windows.sigma)

@@ -6,7 +6,7 @@ one plane. What is thicker is two sheets, if each of them then leaves σ², or n
 
 from __future__ import annotations
 
-from math import sqrt
+from math import exp, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -20,17 +20,20 @@ from gpdf_service.denoise.cells import (
     centre_of,
     gather,
     look_around,
+    sum_cells,
     sum_window,
 )
 from gpdf_service.fields.shapes import FEWEST, add, fit_axis, fit_plane
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.fields.tree import VECTORS
+from gpdf_service.kernel_cache import lean
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 SHEETS = 2
 """Planes that a window can have."""
 NUMBERS = 10
-"""Of a plane: its normal, the middle of its points from the window's, how many they are, (λ₂ − λ₁)² / λ₂, what λ₁
-exceeds σ² by in standard errors, and how well its noise is inside the window, 0 to 1."""
+"""Of a plane: its normal, the middle of its points from the window's, how many they are, (λ₂ − λ₁)² / λ₂, the standard
+error of its direction [rad], and how well it explains them and has its noise inside the window, 0 to 1."""
 Planes = NDArray[np.float32]
 """Shape (m, `SHEETS`, `NUMBERS`); 0 points where there is none."""
 THICK = 2.5
@@ -69,13 +72,14 @@ class Windows(NamedTuple):
 def find_planes(cells: Cells, sigma: float, wanted: BoolArray) -> Windows:
     """The windows around the cells, and the planes of the `wanted` ones, shape (m,), where the noise is `sigma` [m]."""
     count = len(cells.key)
-    found = Windows(cells, sigma, np.zeros((count, SHEETS, NUMBERS), np.float32), np.zeros((count, 5), np.float32))
-    run_chunked(lambda a, b: _planes_range(found, wanted, a, b), count)
+    planes, main = np.zeros((count, SHEETS, NUMBERS), np.float32), np.zeros((count, 5), np.float32)
+    found, moments = Windows(cells, sigma, planes, main), sum_cells(cells)
+    run_chunked(lambda a, b: _planes_range(found, moments, wanted, a, b), count)
     return found
 
 
 @njit(cache=True, nogil=True)
-def _planes_range(windows: Windows, wanted: BoolArray, begin: int, end: int) -> None:
+def _planes_range(windows: Windows, moments: FloatArray, wanted: BoolArray, begin: int, end: int) -> None:
     cells, sigma, planes, _ = windows
     near, total, normal, mean = np.empty(AROUND, np.int64), np.empty(10), np.empty(3), np.empty(3)
     rows, halves, heights = np.empty(_MOST, np.int64), np.empty((2, 10)), np.empty(_MOST)
@@ -84,14 +88,14 @@ def _planes_range(windows: Windows, wanted: BoolArray, begin: int, end: int) -> 
         if not wanted[c]:
             continue
         look_around(cells, c, at, near)
-        sum_window(cells, near, total)
+        sum_window(cells, moments, near, total)
         if total[0] < FEWEST:
             continue
         low, middle, high = fit_plane(total, mean, normal)
         excess = _excess(low, total[0], sigma)
         if excess <= THICK:
             if middle > _FLAT * low:
-                _write(planes[c, 0], normal, mean, (total[0], (middle - low) ** 2 / middle, excess), cells.width)
+                _write(planes[c, 0], normal, mean, (total[0], (middle - low) ** 2 / middle, excess), cells.width, sigma)
         elif total[0] >= 2 * FEWEST:
             count = gather(cells, near, rows)
             for axis in range(3):
@@ -118,42 +122,52 @@ def _excess(low: float, count: float, sigma: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _write(plane: Planes, normal: FloatArray, mean: FloatArray, told: tuple[float, float, float], width: float) -> None:
-    """A plane that crosses its window's own cell; the last but one of its numbers are `told`."""
+def _write(
+    plane: Planes, normal: FloatArray, mean: FloatArray, told: tuple[float, float, float], width: float, sigma: float
+) -> None:
+    """A plane that crosses its window's own cell; `told` are its count, (λ₂ − λ₁)² / λ₂ and excess of λ₁ over σ²."""
+    count, spread, excess = told
     height = mean[0] * normal[0] + mean[1] * normal[1] + mean[2] * normal[2]
     off = abs(height) / (_CROSS * width * (abs(normal[0]) + abs(normal[1]) + abs(normal[2])))
     if off >= 1.0:
         return
     for k in range(3):
         plane[k], plane[3 + k] = normal[k], mean[k]
-    (plane[6], plane[7], plane[8]), plane[9] = told, 1.0 - off * off
+    plane[6], plane[7], plane[8] = count, spread, sigma / sqrt(count * spread)
+    plane[9] = (1.0 - off * off) * exp(-0.5 * max(excess, 0.0) ** 2)
 
 
 @njit(cache=True, nogil=True)
 def _split(cells: Cells, c: int, rows: IntArray, axis: FloatArray, heights: FloatArray, halves: FloatArray) -> bool:
     """Write the sums of two sheets across `axis`, (2, 10); whether there are two."""
-    x, y, z = centre_of(cells, c)
-    cut, n = 0.0, len(rows)
+    (x, y, z), n, total = centre_of(cells, c), len(rows), 0.0
     for i in range(n):
         p = cells.places[rows[i]]
         heights[i] = (p[0] - x) * axis[0] + (p[1] - y) * axis[1] + (p[2] - z) * axis[2]
-        cut += heights[i] / n
+        total += heights[i]
+    cut = total / n
     for _ in range(_TURNS):
-        upper, lower, above = 0.0, 0.0, 0
-        for i in range(n):
-            if heights[i] > cut:
-                upper += heights[i]
-                above += 1
-            else:
-                lower += heights[i]
+        upper, above = _sum_over(cut, heights[:n])
         if above < FEWEST or n - above < FEWEST:
             return False
-        cut = 0.5 * (upper / above + lower / (n - above))
+        cut, before = 0.5 * (upper / above + (total - upper) / (n - above)), cut
+        if cut == before:
+            break
     halves[:] = 0.0
     for i in range(n):
         p = cells.places[rows[i]]
         add(halves[int(heights[i] > cut)], p[0] - x, p[1] - y, p[2] - z)
     return bool(min(halves[0, 0], halves[1, 0]) >= FEWEST)
+
+
+@lean(fastmath=VECTORS)
+def _sum_over(cut: float, heights: FloatArray) -> tuple[float, float]:
+    """Sum of those that are over the cut, and how many they are."""
+    upper, above = 0.0, 0.0
+    for h in heights:
+        upper += h if h > cut else 0.0
+        above += 1.0 if h > cut else 0.0
+    return upper, above
 
 
 @njit(cache=True, nogil=True)
@@ -167,5 +181,5 @@ def _both(halves: FloatArray, sigma: float, share: float, width: float, planes: 
         if excess > THICK or low * count < _THIN * sigma**2 * (count - 3.0) or middle <= _FLAT * low:
             planes[0, 6] = 0.0
             return False
-        _write(planes[k], normal, mean, (share * count, (middle - low) ** 2 / middle, excess), width)
+        _write(planes[k], normal, mean, (share * count, (middle - low) ** 2 / middle, excess), width, sigma)
     return True

@@ -104,7 +104,7 @@ def _follow_range(windows: Windows, placed: Placed, begin: int, end: int) -> Non
 
 @njit(cache=True, nogil=True)
 def _company_range(windows: Windows, off: FloatArray, far: BoolArray, begin: int, end: int, free: BoolArray) -> None:
-    cells, sigma, _, _ = windows
+    cells, sigma = windows[:2]
     near, rows, at = np.empty(AROUND, np.int64), np.empty(_WITNESSES, np.int64), begin_sweep(cells, begin)
     for c in range(begin, end):
         if not holds_any(cells, c, far):

@@ -12,11 +12,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.denoise.cells import AROUND, begin_sweep, cells_within, centre_of, look_around, sum_window
+from gpdf_service.denoise.cells import Cells, begin_sweep, centre_of, count_in, runs_within
 from gpdf_service.denoise.place import Placed
 from gpdf_service.denoise.planes import Windows
 from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.fields.tree import VECTORS
 from gpdf_service.kernel_cache import lean
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -31,8 +32,6 @@ _HALF = 1.0
 """[-] Standard deviations that a strip reaches to either side."""
 _STRIP = 2
 """Cells that a strip is long, either way: 4 σ, so that it begins where noise brings in as much as it takes out."""
-_CORNER = 0.5 * sqrt(3.0)
-"""[-] Of a cell's width, from its middle to its corners."""
 
 
 def draw_in(windows: Windows, placed: Placed) -> BoolArray:
@@ -42,33 +41,56 @@ def draw_in(windows: Windows, placed: Placed) -> BoolArray:
         windows: Of the points as they were measured.
         placed: Where the points are; changed in place.
     """
-    before, few = placed._replace(points=placed.points.copy()), np.zeros(len(placed.points), dtype=bool)
-    run_chunked(lambda a, b: _rim_range(windows, before, placed, a, b, few), len(windows.main))
+    cells, few = windows.cells, np.zeros(len(placed.points), dtype=bool)
+    shown: FloatArray = np.concatenate((placed.points.take(cells.order, 0), placed.normal.take(cells.order, 0)), axis=1)
+    sums = np.concatenate((np.zeros((1, 3)), np.cumsum(cells.places, axis=0)))
+    run_chunked(lambda a, b: _rim_range(windows, (shown, sums), placed, few, a, b), len(cells.key))
     return few
 
 
 @njit(cache=True, nogil=True)
-def _rim_range(windows: Windows, before: Placed, placed: Placed, begin: int, end: int, few: BoolArray) -> None:
-    cells = windows.cells
-    near, at, wide = np.empty(AROUND, np.int64), begin_sweep(cells, begin), begin_sweep(cells, begin, _STRIP)
-    out, total, beside = np.empty(3), np.empty(10), np.empty((2 * _STRIP + 1) ** 3, np.int64)
+def _rim_range(
+    windows: Windows, told: tuple[FloatArray, FloatArray], placed: Placed, few: BoolArray, begin: int, end: int
+) -> None:
+    """As `draw_in`, of cells from `begin` to `end`.
+
+    What is told of the points, in the order of the cells, is where they are shown with their normals, shape (n, 6), and
+    the sums of those before each as they were measured, shape (n + 1, 3).
+    """
+    (cells, sigma), (shown, sums) = windows[:2], told
+    at, wide = begin_sweep(cells, begin), begin_sweep(cells, begin, _STRIP)
+    runs, out, total, room = np.empty((wide.shape[1], 2), np.int64), np.empty(3), np.empty(4), np.empty((6, 0))
     for c in range(begin, end):
-        look_around(cells, c, at, near)
-        sum_window(cells, near, total)
+        _sum_window(cells, c, runs[: runs_within(cells, c, 1, at, runs)], sums, total)
         count = 0
         for i in range(cells.begin[c], cells.begin[c + 1]):
             row = cells.order[i]
             if placed.pending[row] or _is_inside(total, placed.normal[row], cells.width):
                 continue
-            found, aside = _outwards(windows, near, row, before, out)
+            if count == 0:
+                around = runs[: runs_within(cells, c, _STRIP, wide, runs)]
+                count = count_in(around)
+                room = room if count <= room.shape[1] else np.empty((6, 2 * count))
+                _bring(shown, around, room)
+            found, aside = _outwards(room, count, shown[i], (_SAME * sigma, cells.width), out)
             few[row] = found < FEWEST
             if aside and not few[row]:
-                if count == 0:
-                    count = cells_within(cells, c, _STRIP, wide, beside)
-                beyond = -_end(windows, beside[:count], row, before, out)
+                beyond = -_end(room, count, shown[i], (_SAME * sigma, _HALF * sigma, _STRIP * cells.width), out)
                 if beyond > 0.0:
                     for k in range(3):
                         placed.points[row, k] -= beyond * out[k]
+
+
+@lean()
+def _sum_window(cells: Cells, c: int, runs: IntArray, sums: FloatArray, total: FloatArray) -> None:
+    """Write how many points are in the runs, and the sum of their places from the middle of cell c, shape (4,)."""
+    middle, total[:] = centre_of(cells, c), 0.0
+    for run in runs:
+        total[0] += run[1] - run[0]
+        for k in range(3):
+            total[1 + k] += sums[run[1], k] - sums[run[0], k]
+    for k in range(3):
+        total[1 + k] -= total[0] * middle[k]
 
 
 @lean()
@@ -82,51 +104,70 @@ def _is_inside(total: FloatArray, normal: NDArray[np.float32], width: float) -> 
 
 
 @lean()
-def _outwards(windows: Windows, near: IntArray, row: int, placed: Placed, out: FloatArray) -> tuple[int, bool]:
-    """Write the direction from the middle of the surface around a point to it; its points, and if it ends there."""
-    (cells, sigma, _, _), (points, _, _, normal) = windows, placed
-    count, reach, p, n = 0, cells.width, points[row], normal[row]
-    out[:] = 0.0
-    for j in near:
-        if j < 0:
-            continue
-        for i in range(cells.begin[j], cells.begin[j + 1]):
-            q, m = points[cells.order[i]], normal[cells.order[i]]
-            a, b, d = p[0] - q[0], p[1] - q[1], p[2] - q[2]
-            off, same = a * n[0] + b * n[1] + d * n[2], m[0] * n[0] + m[1] * n[1] + m[2] * n[2]
-            if abs(off) <= _SAME * sigma and abs(same) >= _ALIKE and a * a + b * b + d * d <= reach * reach:
-                out[0], out[1], out[2], count = out[0] + a, out[1] + b, out[2] + d, count + 1
-    off = out[0] * n[0] + out[1] * n[1] + out[2] * n[2]
-    for k in range(3):
-        out[k] -= off * n[k]
-    length = sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2)
-    for k in range(3):
-        out[k] /= max(length, 1e-12)
-    return count, bool(length > _ASIDE * reach * count)
+def _bring(shown: FloatArray, runs: IntArray, room: FloatArray) -> None:
+    """Write those of `shown` in the runs, shape (n, 6), one after the other into the columns of the room."""
+    found = 0
+    for run in runs:
+        for i in range(run[0], run[1]):
+            for k in range(6):
+                room[k, found] = shown[i, k]
+            found += 1
 
 
-@lean()
-def _end(windows: Windows, beside: IntArray, row: int, placed: Placed, out: FloatArray) -> float:
-    """Where the strip through a point ends at the latest, from it on along `out` [m]; inf where that is not known."""
-    (cells, sigma, _, _), (points, _, _, normal) = windows, placed
-    count, total, squares, reach, p, n = 0, 0.0, 0.0, _STRIP * cells.width, points[row], normal[row]
-    far = (_HALF * sigma + _CORNER * cells.width) ** 2
-    for j in beside:
-        x, y, z = centre_of(cells, j)
-        a, b, d = x + cells.corner[0] - p[0], y + cells.corner[1] - p[1], z + cells.corner[2] - p[2]
-        u = a * out[0] + b * out[1] + d * out[2]
-        if a * a + b * b + d * d - u * u > 2.0 * far:
-            continue
-        for i in range(cells.begin[j], cells.begin[j + 1]):
-            q, m = points[cells.order[i]], normal[cells.order[i]]
-            a, b, d = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-            off, same = a * n[0] + b * n[1] + d * n[2], m[0] * n[0] + m[1] * n[1] + m[2] * n[2]
-            u = a * out[0] + b * out[1] + d * out[2]
-            aside = a * a + b * b + d * d - u * u - off * off
-            on = abs(off) <= _SAME * sigma and abs(same) >= _ALIKE and aside <= (_HALF * sigma) ** 2
-            if on and abs(u) <= reach:
-                count, total, squares = count + 1, total + u, squares + u * u
+@lean(fastmath=VECTORS)
+def _outwards(
+    room: FloatArray, number: int, own: FloatArray, limits: tuple[float, float], out: FloatArray
+) -> tuple[int, bool]:
+    """Write the direction from the middle of the surface around a point to it; its points, and if it ends there.
+
+    Args:
+        room: The points about it, and their normals, shape (6, …).
+        number: How many they are.
+        own: The point and its normal, shape (6,).
+        limits: How far off its plane, and how far away, they are of its surface [m].
+        out: Written, shape (3,).
+    """
+    x, y, z = room[0, :number], room[1, :number], room[2, :number]
+    u, v, w = room[3, :number], room[4, :number], room[5, :number]
+    (p0, p1, p2, n0, n1, n2), (thick, reach) = own, limits
+    count, o0, o1, o2 = 0.0, 0.0, 0.0, 0.0
+    for k in range(number):
+        a, b, d = p0 - x[k], p1 - y[k], p2 - z[k]
+        off, same = a * n0 + b * n1 + d * n2, u[k] * n0 + v[k] * n1 + w[k] * n2
+        on = (abs(off) <= thick) & (abs(same) >= _ALIKE) & (a * a + b * b + d * d <= reach * reach)
+        count += 1.0 if on else 0.0
+        o0 += a if on else 0.0
+        o1 += b if on else 0.0
+        o2 += d if on else 0.0
+    off = o0 * n0 + o1 * n1 + o2 * n2
+    o0, o1, o2 = o0 - off * n0, o1 - off * n1, o2 - off * n2
+    length = sqrt(o0 * o0 + o1 * o1 + o2 * o2)
+    per = 1.0 / max(length, 1e-12)
+    out[0], out[1], out[2] = o0 * per, o1 * per, o2 * per
+    return int(count), bool(length > _ASIDE * reach * count)
+
+
+@lean(fastmath=VECTORS)
+def _end(room: FloatArray, number: int, own: FloatArray, limits: tuple[float, float, float], out: FloatArray) -> float:
+    """Where the strip through a point ends at the latest, from it on along `out` [m]; inf where that is not known.
+
+    The `limits` are how far off its plane, aside and along the strip its points are [m], the rest as in `_outwards`.
+    """
+    x, y, z = room[0, :number], room[1, :number], room[2, :number]
+    u, v, w = room[3, :number], room[4, :number], room[5, :number]
+    (p0, p1, p2, n0, n1, n2), (o0, o1, o2), (thick, half, reach) = own, out, limits
+    count, total, squares = 0.0, 0.0, 0.0
+    for k in range(number):
+        a, b, d = x[k] - p0, y[k] - p1, z[k] - p2
+        off, same = a * n0 + b * n1 + d * n2, u[k] * n0 + v[k] * n1 + w[k] * n2
+        along = a * o0 + b * o1 + d * o2
+        aside = a * a + b * b + d * d - along * along - off * off
+        on = (abs(off) <= thick) & (abs(same) >= _ALIKE) & (aside <= half * half) & (abs(along) <= reach)
+        along = along if on else 0.0
+        count += 1.0 if on else 0.0
+        total += along
+        squares += along * along
     if count < FEWEST:
         return np.inf
     mean = total / count
-    return 2.0 * (mean + sqrt(max(squares / count - mean * mean, 0.0) / count)) + reach
+    return float(2.0 * (mean + sqrt(max(squares / count - mean * mean, 0.0) / count)) + reach)

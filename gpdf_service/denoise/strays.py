@@ -35,14 +35,19 @@ def find_lifted(points: FloatArray, ground: BoolArray, noise: float, spacing: fl
     floor, near = points[ground], FAR * noise + spacing
     z = points[rest, 2]
     rest = rest[(z >= floor[:, 2].min() - near) & (z <= floor[:, 2].max() + near)]
-    off, nearest = cKDTree(floor).query(points[rest], distance_upper_bound=near, workers=-1)
+    off, nearest = _tree(floor).query(points[rest], distance_upper_bound=near, workers=-1)
     apart = points[rest] - floor[np.minimum(nearest, len(floor) - 1)]
     low = np.flatnonzero(np.isfinite(off) & (np.hypot(apart[:, 0], apart[:, 1]) <= spacing))
     height = np.full(len(rest) + 1, near)  # of what has no ground under it: it is no noise, but a witness
     height[low] = apart[low, 2]
     height[-1] = 0.0  # of nothing beside
     radius = _BESIDE * max(noise, spacing)
-    beside = cKDTree(points[rest]).query(points[rest[low]], k=_WITNESSES, distance_upper_bound=radius, workers=-1)[1]
+    beside = _tree(points[rest]).query(points[rest[low]], k=_WITNESSES, distance_upper_bound=radius, workers=-1)[1]
     number = (beside < len(rest)).sum(axis=1)
     lifted[rest[low]] = np.abs(height[beside].sum(axis=1)) <= FAR * noise * np.sqrt(number)
     return lifted
+
+
+def _tree(points: FloatArray) -> cKDTree:
+    """Made in a third of the time of a balanced one, and asked as fast."""
+    return cKDTree(points, balanced_tree=False, compact_nodes=False)

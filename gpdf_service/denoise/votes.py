@@ -7,7 +7,7 @@ sides of a place that bends are off to both sides of it, so that their mean is n
 
 from __future__ import annotations
 
-from math import exp, sqrt
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -24,9 +24,9 @@ KINDS = 4
 MOST = 400
 """Points of a window that planes are fitted to, at most."""
 VOTES = AROUND * SHEETS
-VOTE = 9
-"""Numbers of a vote: normal, height over the cell's middle, weight, the middle of its points from the cell's, and the
-standard error of its direction [rad]."""
+VOTE = 10
+"""Numbers of a vote: normal, height over the cell's middle, weight, the middle of its points from the cell's, standard
+error of its direction [rad], and how far off the plane that it is for it can be there [m]."""
 FOUND = 9
 """Numbers of a plane: normal, height over the cell's middle, weight of all votes and of the heaviest one, and the
 weighted sum of their middles."""
@@ -48,7 +48,9 @@ class Room(NamedTuple):
     """What telling the planes of a cell needs; made once a batch.
 
     Attributes:
-        votes: The votes, the heaviest first, shape (n, `VOTE`).
+        cast: The votes as they came, shape (n, `VOTE`).
+        votes: The heaviest first, shape (n, `VOTE`).
+        rank: Which of those that were cast they are, shape (n,).
         of: Which plane each is for, −1 for none, shape (n,).
         found: The planes, the heaviest first, shape (`KINDS`, `FOUND`).
         ends: On which side of plane j plane i is, ±1, shape (`KINDS`, `KINDS`); 0 where it does not end there.
@@ -61,7 +63,9 @@ class Room(NamedTuple):
         number: How many points are of each plane, shape (`KINDS`,).
     """
 
+    cast: FloatArray
     votes: FloatArray
+    rank: IntArray
     of: IntArray
     found: FloatArray
     ends: FloatArray
@@ -80,12 +84,13 @@ def make_room(votes: int) -> Room:
     planes = np.empty((KINDS, FOUND)), np.empty((KINDS, KINDS)), np.zeros((KINDS, 10)), np.empty((KINDS, 10))
     points = np.empty((3, 3)), np.empty((3, MOST)), np.empty((KINDS + 1, MOST))
     slants, number = np.empty((KINDS, KINDS, 2)), np.empty(KINDS, np.int64)
-    return Room(np.empty((votes, VOTE)), np.empty(votes, np.int64), *planes, *points, slants, number)
+    told = np.empty((votes, VOTE)), np.empty((votes, VOTE)), np.empty(votes, np.int64), np.empty(votes, np.int64)
+    return Room(*told, *planes, *points, slants, number)
 
 
 @lean()
 def collect(windows: Windows, near: IntArray, votes: FloatArray) -> int:
-    """Write the votes for a cell's planes of the windows `near`, the heaviest first; how many."""
+    """Write the votes for a cell's planes of the windows `near`; how many."""
     count, (cells, sigma, planes, _) = 0, windows
     for j in range(AROUND):
         if near[j] >= 0:
@@ -115,18 +120,28 @@ def add_vote(
     if abs(height) > 0.5 * width * flat + _REACH * sigma:
         return count
     aside = x * x + y * y + z * z - height * height
-    weight = plane[6] / (1.0 + aside / plane[7]) * exp(-0.5 * max(plane[8], 0.0) ** 2) * plane[9]
+    weight = plane[6] / (1.0 + aside / plane[7]) * plane[9]
     if weight == 0.0:  # its points bend so much that they are of no plane
         return count
-    at = count
-    while at > 0 and votes[at - 1, 4] < weight:
-        for k in range(VOTE):
-            votes[at, k] = votes[at - 1, k]
-        at -= 1
-    votes[at, 0], votes[at, 1], votes[at, 2], votes[at, 3] = plane[0], plane[1], plane[2], height
-    votes[at, 4], votes[at, 5], votes[at, 6], votes[at, 7] = weight, x, y, z
-    votes[at, 8] = sigma / sqrt(plane[6] * plane[7])
+    vote = votes[count]
+    vote[0], vote[1], vote[2], vote[3], vote[4] = plane[0], plane[1], plane[2], height, weight
+    vote[5], vote[6], vote[7], vote[8], vote[9] = x, y, z, plane[8], sigma * (_BESIDE + 2.0 / sqrt(weight))
     return count + 1
+
+
+@lean()
+def _sort_votes(room: Room, count: int) -> None:
+    """Write the first `count` votes that were cast, the heaviest first."""
+    rank, weight = room.rank, room.cast[:, 4]
+    for i in range(count):
+        at = i
+        while at > 0 and weight[rank[at - 1]] < weight[i]:
+            rank[at] = rank[at - 1]
+            at -= 1
+        rank[at] = i
+    for i in range(count):
+        for k in range(VOTE):
+            room.votes[i, k] = room.cast[rank[i], k]
 
 
 @lean()
@@ -136,13 +151,14 @@ def cluster(room: Room, count: int, width: float, sigma: float) -> int:
     The heaviest vote that is left begins a plane, and those that agree with it are of it. Then once more with the
     planes themselves, the heaviest first: what one vote was off by does not split a plane.
     """
+    _sort_votes(room, count)
     votes, of, found = room.votes, room.of, room.found
     of[:count] = -1
     kinds = 0
     for i in range(count):
         if of[i] < 0 and kinds < KINDS:
             for j in range(i, count):
-                if of[j] < 0 and _agrees(votes[i], votes[i, 8], votes[j], sigma):
+                if of[j] < 0 and _agrees(votes[i], votes[i, 8], votes[j]):
                     of[j] = kinds
             kinds += 1
     _sum_votes(votes, count, of, found, kinds, sigma)
@@ -150,7 +166,7 @@ def cluster(room: Room, count: int, width: float, sigma: float) -> int:
     of[:count] = -1
     for j in range(count):
         for i in range(kinds):
-            if _agrees(found[i], 0.0, votes[j], sigma):
+            if _agrees(found[i], 0.0, votes[j]):
                 of[j] = i
                 break
     _sum_votes(votes, count, of, found, kinds, sigma)
@@ -180,11 +196,11 @@ def _without_empty(of: IntArray, found: FloatArray, kinds: int) -> int:
 
 
 @lean()
-def _agrees(plane: FloatArray, turn: float, vote: FloatArray, sigma: float) -> bool:
+def _agrees(plane: FloatArray, turn: float, vote: FloatArray) -> bool:
     """Whether a vote is for a plane whose direction is known to within `turn` [rad]."""
     dot = plane[0] * vote[0] + plane[1] * vote[1] + plane[2] * vote[2]
     off = vote[3] - plane[3] if dot > 0.0 else vote[3] + plane[3]
-    if abs(off) > sigma * (_BESIDE + 2.0 / sqrt(vote[4])):
+    if abs(off) > vote[9]:
         return False
     return bool(1.0 - dot * dot <= (_ALIKE + 2.0 * sqrt(turn**2 + vote[8] ** 2)) ** 2)
 

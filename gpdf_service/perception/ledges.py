@@ -5,9 +5,10 @@ from __future__ import annotations
 from math import ceil
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
+from gpdf_service.denoise.cells import Cells, begin_sweep, runs_within, sort_into_cells
 from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.footing import footholds, footing_reach
@@ -16,7 +17,7 @@ from gpdf_service.tiles.boxes import WHOLE, Box, highest_around, lowest_around, 
 from gpdf_service.tiles.columns import ends_of_runs, lowest_above
 from gpdf_service.tiles.rows import between, chosen_rows
 from gpdf_service.tiles.surface import UNKNOWN, HeightMap, cells_within, cropped
-from gpdf_service.types import BoolArray, FloatArray
+from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 FACE = 0.1
 """[m] A step's face has the step's top within this in plan at most: half the depth of a stair's tread."""
@@ -81,25 +82,54 @@ def _add_rims(
     rows, edges = rows[rim], edges[rim]
     if len(rows) == 0:
         return
-    beside = cKDTree(other[asked, :2]).query_ball_point(other[rows, :2], reach + noise)
-    z = other[asked, 2]
-    for row, edge, near in zip(rows, edges, beside, strict=True):
-        above = (z[near] - edge) / noise
-        face = int(np.count_nonzero((above > -2.0) & (above <= 0.0)))
-        if face > 0 and np.count_nonzero(above > 1.0) - 1 <= rim_points(face):
-            ledge[row] = edge
+    edge = np.full(len(other), np.nan)
+    edge[rows] = edges
+    face, over = _count_beside(other[asked], edge[asked], noise, reach + noise)
+    is_rim = (face > 0) & (over - 1 <= rim_points(face))
+    ledge[np.flatnonzero(asked)[is_rim]] = edge[asked][is_rim]
 
 
-def rim_points(face: int) -> float:
+def _count_beside(points: FloatArray, edge: FloatArray, noise: float, radius: float) -> tuple[IntArray, IntArray]:
+    """How many of the points, shape (n, 3), within the radius in plan of each are under its edge, and over it.
+
+    Up to two deviations of the `noise` [m] under it, and more than one over it; 0 of those whose `edge` [m] is NaN.
+    """
+    counts = np.zeros((2, len(points)), np.int64)
+    cells = sort_into_cells(points * [1.0, 1.0, 0.0], radius)
+    above = np.stack((points[:, 2], edge)) / noise
+    run_chunked(lambda a, b: _count_range(cells, above, radius, counts, a, b), len(cells.key))
+    return counts[0], counts[1]
+
+
+@njit(cache=True, nogil=True)
+def _count_range(cells: Cells, above: FloatArray, radius: float, counts: IntArray, begin: int, end: int) -> None:
+    """As `_count_beside`; how high `above` zero points and edges are in deviations, shape (2, n)."""
+    (z, edge), runs, at = above, np.empty((9, 2), np.int64), begin_sweep(cells, begin)
+    for c in range(begin, end):
+        around = runs[: runs_within(cells, c, 1, at, runs)]
+        for i in range(cells.begin[c], cells.begin[c + 1]):
+            row = cells.order[i]
+            if np.isnan(edge[row]):
+                continue
+            for run in around:
+                for k in range(run[0], run[1]):
+                    off = (cells.places[k, 0] - cells.places[i, 0]) ** 2 + (
+                        cells.places[k, 1] - cells.places[i, 1]
+                    ) ** 2
+                    over = z[cells.order[k]] - edge[row]
+                    counts[0, row] += off <= radius**2 and -2.0 < over <= 0.0
+                    counts[1, row] += off <= radius**2 and over > 1.0
+
+
+def rim_points(face: IntArray) -> FloatArray:
     """How many points beside one may be over an edge, of a `face` of so many points under it, and be its rim.
 
     A quarter; where the face has enough points to tell chance, three standard errors and one over what noise makes:
     a platform's rim has hundreds of such places. A thinly seen face does not tell a lip from noise.
     """
-    if face < FEWEST:
-        return RIM_SHARE * face
-    by_chance = RIM_NOISE * face
-    return max(RIM_SHARE * face, by_chance + 3.0 * float(np.sqrt(by_chance)) + 1.0)
+    by_chance = np.where(face < FEWEST, -np.inf, RIM_NOISE * face)
+    most: FloatArray = np.maximum(RIM_SHARE * face, by_chance + 3.0 * np.sqrt(RIM_NOISE * face) + 1.0)
+    return most
 
 
 def ground_reach(surface: HeightMap) -> int:

@@ -13,6 +13,7 @@ from gpdf_service.denoise.cells import (
     look_around,
     runs_within,
     sort_into_cells,
+    sum_cells,
     sum_window,
 )
 from gpdf_service.fields.spacing import estimate_spacing
@@ -30,11 +31,11 @@ def test_a_windows_sums_are_those_of_the_points_in_its_27_cells(seed):
     points = cloud(rng)
     cells = sort_into_cells(points, 0.11)
     np.testing.assert_allclose(cells.places + cells.corner, points[cells.order], atol=1e-9)
-    near, total = np.empty(AROUND, np.int64), np.empty(10)
+    near, total, moments = np.empty(AROUND, np.int64), np.empty(10), sum_cells(cells)
     at = begin_sweep(cells, 0)
     for c in range(len(cells.key)):
         look_around(cells, c, at, near)
-        sum_window(cells, near, total)
+        sum_window(cells, moments, near, total)
         offset = cells.places - np.array(centre_of(cells, c))
         x, y, z = offset[np.abs(offset).max(axis=1) < 1.5 * cells.width].T
         own = [len(x), *(v.sum() for v in (x, y, z, x * x, y * y, z * z, x * y, x * z, y * z))]

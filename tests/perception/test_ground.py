@@ -614,10 +614,9 @@ def test_a_slab_seen_from_below_through_the_hole_in_the_scan_of_its_top_is_no_gr
 
 def test_a_slab_of_which_the_top_was_mostly_not_seen_is_no_ground_where_it_was_not():
     points = car_park(unseen=5.6)
-    scene, (x, y, z) = build_scene(points), points.T
-    under = np.abs(z - 2.65) < 0.01
+    scene, under = build_scene(points), np.abs(points[:, 2] - 2.65) < 0.01
     assert segment_ground(points)[under].mean() < 0.02
-    places = points[under & (x < 5.0)][:, :2]
+    places = points[under & (points[:, 0] < 5.0)][:, :2]
     heights = np.array([surface.height_at(places) for surface in scene.surfaces])
     assert not (np.abs(heights - 2.65) < 0.2).any()
     assert plan(scene, (3.0, 4.0, 0.0), (7.0, 4.0, 2.9)).status is Status.OK  # over the ramp
