@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from gpdf_service.bench.judge import Judge
+from gpdf_service.synthetic.place import SEEN
 from gpdf_service.synthetic.solid_world import SolidWorld
 from gpdf_service.types import Agent, FloatArray, Trajectory
 
@@ -55,10 +57,23 @@ def judge_path(world: SolidWorld, path: Trajectory, agent: Agent) -> Truth:
     return Truth(deepest, worst_foot(world, contacts, agent.max_step))
 
 
-def count_touching(world: SolidWorld, places: FloatArray, agent: Agent, noise: float) -> int:
-    """At how many places (m, 3) a body that stands there is deeper in something than noise [m] explains."""
-    judge = Judge(*world.sample(SPACING, agent.height))
-    return sum(Truth(judge.penetration(place, agent), 0.0).collides(noise) for place in places)
+def count_touching(
+    world: SolidWorld, places: FloatArray, agent: Agent, noise: float, scan: FloatArray
+) -> dict[str, int]:
+    """At how many places (m, 3) a body that stands there is deeper in something than noise [m] explains.
+
+    And at how many of these in something of which the points of a `scan` (n, 3) [m] show that place.
+    """
+    points, ground = world.sample(SPACING, agent.height)
+
+    def touching(judge: Judge, places: FloatArray) -> FloatArray:
+        return places[[Truth(judge.penetration(place, agent), 0.0).collides(noise) for place in places]]
+
+    wrong = touching(Judge(points, ground), places)
+    seen = ground.copy()
+    if len(wrong):
+        seen |= cKDTree(scan).query(points, distance_upper_bound=SEEN)[0] <= SEEN
+    return {"wrongly_free": len(wrong), "wrongly_free_seen": len(touching(Judge(points[seen], ground[seen]), wrong))}
 
 
 def worst_foot(world: SolidWorld, contacts: FloatArray, max_step: float) -> float:
