@@ -106,6 +106,7 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "planes over holes": (_P + "holes", "_fill", lambda *_: None),
     "single cells where rays met the floor": (_P + "holes", "_fill_single", lambda _, *ground: ground),
     "notches of flights": (_P + "holes", "fill_notches", _first),
+    "strips at a flight's side": (_P + "notches", "_fill_bitten", lambda *_: None),
     "treads seen as lines": (_P + "notches", "_as_wide_as_a_sole", lambda known, _: known),
     "walls of pits": (_P + "holes", "_walled_down", lambda surface, _: np.zeros(surface.state.shape, dtype=bool)),
     "slanted faces are steps": (_P + "limits", "_slanted", lambda _, slope: np.full(slope.shape, np.inf)),

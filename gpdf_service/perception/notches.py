@@ -20,7 +20,9 @@ from gpdf_service.types import BoolArray, FloatArray, IntArray
 STEEPEST_FLIGHT = 1.3
 """[-] Rise over run of the steepest stair, 52°; what rises more between two pieces of ground is another storey."""
 NOTCH_DEPTH = 0.35
-"""[m] From what is seen below a shadow to the treads on either side: less than half of the narrowest stair."""
+"""[m] How far a shadow is filled beside seen treads: less than half of the narrowest stair."""
+NOTCH_SPAN = 1.0
+"""[m] Longest piece of a flight that a shadow bites out: five treads."""
 FLIGHT = 2.0 * STRIDE
 """[m] From a flight's treads, within which a scan's notches are the flight's: two strides make a landing."""
 BENEATH_SHARE = 0.5
@@ -43,11 +45,12 @@ def fill_notches(surface: HeightMap, beneath: BoolArray, config: PerceptionConfi
         config: Limits.
     """
     flight, width = flights(surface, config.max_step, FLIGHT), surface.cell_width
-    box = window(flight, int((3.0 * SOLE + 1.5 * config.widest_gap) / width) + 2)  # all that tells what is filled
+    box = window(flight, int((NOTCH_SPAN + NOTCH_DEPTH) / width) + 2)  # nothing else is filled, or tells what is
     height, state = surface.height.copy(), surface.state.copy()
     own, known, flight = np.ascontiguousarray(height[box]), surface.state[box] != UNKNOWN, flight[box]
     below, radius = beneath[box], 0.5 * config.widest_gap / width
     closed, narrow = (nearest_of(nearest_of(known)[0] > half)[0] > half for half in (radius, 0.5 * SOLE / width))
+    _fill_bitten(own, flight & ~below, width)
     asked = closed & np.isnan(own) & flight
     asked &= (
         ~below | (narrow & _at_risers(own, asked, int(SOLE / width))) | _from_the_side(known & flight, below, width)
@@ -60,8 +63,8 @@ def fill_notches(surface: HeightMap, beneath: BoolArray, config: PerceptionConfi
 
 
 def notches_reach(surface: HeightMap, config: PerceptionConfig) -> int:
-    """Cells within which the ground decides on a notch: flights, what was seen beneath them, soles, discs on these."""
-    lengths = FLIGHT, FLIGHT, 3.0 * SOLE, 1.5 * config.widest_gap
+    """Cells within which the ground decides on a notch: flights, bites out of them, soles, and discs on these."""
+    lengths = FLIGHT, max(FLIGHT, NOTCH_SPAN + NOTCH_DEPTH), 3.0 * SOLE, 1.5 * config.widest_gap
     return sum(int(length / surface.cell_width) + 2 for length in lengths)
 
 
@@ -143,6 +146,40 @@ def _closes(height: NDArray[np.float32], x: int, y: int, disc: IntArray, low: fl
         if empty:
             return False
     return True
+
+
+@njit(cache=True, nogil=True)
+def _fill_bitten(height: NDArray[np.float32], asked: BoolArray, cell_width: float) -> None:
+    """Fill what a shadow bites out of a flight: uphill and downhill there is ground, and the tread itself beside.
+
+    At one end or both the flight beside is as high: one that lies across the grid at an angle stays as it was seen. A
+    tread is as wide as a sole: behind a stringer a shadow lies on the floor.
+    """
+    (nx, ny), most, depth = height.shape, int(NOTCH_SPAN / cell_width) + 1, int(NOTCH_DEPTH / cell_width)
+    sole = max(1, round(SOLE / cell_width))
+    seen, half = height.copy(), np.float32(0.5) * np.float32(cell_width)
+    for x in range(nx):
+        for y in range(ny):
+            for dx, dy in ((1, 0), (0, 1)):
+                if not (asked[x, y] and np.isnan(height[x, y])):
+                    break
+                ahead, on, behind, back = _both_sides(seen, x, y, dx, dy, most, most)
+                run, low, high = (on + back) * cell_width, min(ahead, behind), max(ahead, behind)
+                if not 0.0 < run <= NOTCH_SPAN or not 2.0 * cell_width < high - low <= STEEPEST_FLIGHT * run:
+                    continue
+                for way in (-1, 1):
+                    tread, beside = _next_known(seen, x, y, way * dy, way * dx, depth)
+                    if beside == 0 or not low + half < tread < high - half:
+                        continue
+                    u, v = x + beside * way * dy, y + beside * way * dx
+                    wide = True
+                    for k in range(1, sole + 1):
+                        i, j = u + k * way * dy, v + k * way * dx
+                        wide = wide and 0 <= i < nx and 0 <= j < ny and abs(seen[i, j] - tread) <= half
+                    up = abs(seen[u + on * dx, v + on * dy] - ahead)
+                    down = abs(seen[u - back * dx, v - back * dy] - behind)
+                    if wide and min(up, down) <= half:
+                        height[x, y] = tread
 
 
 def between_treads(surface: HeightMap, asked: BoolArray, stair_step: float) -> BoolArray:

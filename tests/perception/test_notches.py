@@ -61,6 +61,18 @@ def test_beyond_the_open_side_of_a_flight_nothing_is_inferred():
     assert (filled(height)[1][:, 21:24] == UNKNOWN).all()
 
 
+@pytest.mark.parametrize(("wide", "filled_up"), [(1, False), (3, True)])
+def test_a_shadow_is_filled_as_high_as_the_tread_beside_it_but_not_as_a_stringer(wide, filled_up):
+    """A floor, a flight up along y, and between them, beside a shadow, a tread of so many cells."""
+    height = np.zeros((24, 26))
+    height[:, 14:], height[:, 18:] = 0.4, 0.6
+    height[8:, 8:14] = np.nan
+    height[9 - wide : 9, 8:14] = 0.25
+    made, state = filled(height)
+    assert (state[10:13, 10:12] == (INFERRED if filled_up else UNKNOWN)).all()
+    assert not filled_up or np.allclose(made[10:13, 10:12], 0.25)
+
+
 @pytest.mark.parametrize("change", ["floor", "landing"])
 def test_a_strip_that_is_in_no_flight_stays_unknown(change):
     height = flight()
