@@ -390,17 +390,15 @@ def _beside(layers: Layers, ours: BoolArray, holds: BoolArray) -> FloatArray:
     return made
 
 
-def undersides(near: Beside, parts: Parts, config: PerceptionConfig) -> tuple[Strips, Parts, BoolArray]:
-    """Nodes of slabs that are seen from below, the parts without them, and which of these are what was left.
+def _slabs(near: Beside, parts: Parts, config: PerceptionConfig) -> tuple[Strips, BoolArray]:
+    """Nodes of slabs that are seen from below, and which parts hang: slabs, with or without a top, (parts + 1,).
 
     An underside is the next below nodes of parts, by no more than a step, as wide as a body (a stair's tread goes on
     beneath the next one by its nosing alone), and more of it has something below it than strays are: the floor has not.
-    What is left of a part of which that is the most, and what that is around, are pieces by themselves: where the
-    slab's top has holes in its scan, and a stair's last tread, where that is as high as the underside beside it. See
-    `without_ceilings`. So is what is left where more of it is seen under a floor, larger than furniture, than over an
-    underside of its own: nobody saw most of the slab's top.
+    A part hangs if that is the most of it, or if more of it is seen under a floor, larger than furniture, than over an
+    underside of its own: then nobody saw most of the slab's top, and a floor has its slab under it.
     """
-    layers, floors = near.layers, parts.size * near.layers.cell_width**2 > TABLE_AREA
+    floors = parts.size * near.layers.cell_width**2 > TABLE_AREA
 
     def beneath(layers: Layers, _: BoolArray, room: BoolArray, floor: BoolArray) -> Answer:
         over, found = np.r_[False, layers.cell[1:] == layers.cell[:-1]], np.zeros(len(room), dtype=bool)
@@ -413,18 +411,23 @@ def undersides(near: Beside, parts: Parts, config: PerceptionConfig) -> tuple[St
     over = parts.pieces.chosen("floors over slabs", floors)
     slab, aloft, ceiling, top = near.around("slabs", 0, beneath, parts.keep, over)
     pieces = find_pieces(near, "slabs", slab, parts.rise)
-
-    def add(own: slice, label: IntArray, labels: int, slab: BoolArray) -> FloatArray:
-        made: FloatArray = plan_sums(layers.cell[own], layers.shape[1], slab, label, labels)
-        return made
-
-    depth = extents_of(pieces.totals("slabs", add, slab), layers.cell_width)[1]
     size, lies = pieces.counts("slabs aloft", slab, aloft)
-    under = pieces.chosen("slabs", (depth >= config.standing_width) & (lies > OVER_SHARE * size))
+    wide = pieces.extents("slabs", slab)[1] >= config.standing_width
+    under = pieces.chosen("slabs", wide & (lies > OVER_SHARE * size))
     (hidden,) = near.around("under floors", 0, lambda _, __, under, ceiling: (under & ceiling,), under, ceiling)
     of_parts, all_, hung, tops = parts.counts("undersides", under, parts.flat, hidden, top)
     hangs = (_share(of_parts, all_) >= 0.5) | (hung > tops)
     hangs[-1] = False
+    return under, hangs
+
+
+def undersides(near: Beside, parts: Parts, config: PerceptionConfig) -> tuple[Strips, Parts, BoolArray]:
+    """Nodes of slabs that are seen from below, the parts without them, and which of these are what was left.
+
+    What is left of a part that hangs, and what that is around, are pieces by themselves: where the slab's top has holes
+    in its scan, and a stair's last tread, where that is as high as the underside beside it. See `without_ceilings`.
+    """
+    under, hangs = _slabs(near, parts, config)
 
     def without(_: Layers, __: BoolArray, *given: BoolArray) -> Answer:
         under, hung, room, flat = given

@@ -16,16 +16,14 @@ from gpdf_service.tiles.nodes import (
     components,
     degrees,
     ends_at,
-    extents_of,
     grown_sheet,
     joined_to,
     mark_nearest,
-    plan_sums,
     whole_around,
 )
 from gpdf_service.tiles.pairs import steps_over_gaps
 from gpdf_service.tiles.pieces import Pieces, find_pieces
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import BoolArray, IntArray
 
 OVERLAP = 1.2
 """[m] How far a sheet reaches into the next: twice the largest body's radius, so that a body fits where they meet."""
@@ -101,12 +99,8 @@ def _seams(
 
     def pieces(name: str, nodes: Strips) -> tuple[Pieces, BoolArray]:
         """Pieces of nodes that steps join, and which of them a foot fits on: a rim of single cells is no ground."""
-
-        def add(own: slice, label: IntArray, labels: int, nodes: BoolArray) -> FloatArray:
-            return plan_sums(layers.cell[own], layers.shape[1], nodes, label, labels)
-
         found = find_pieces(near, name, nodes, 0.0, config.max_step)
-        return found, extents_of(found.totals(name, add, nodes), layers.cell_width)[1] >= config.tread_depth
+        return found, found.extents(name, nodes)[1] >= config.tread_depth
 
     def ends(layers: Layers, _: BoolArray, sheet: BoolArray, beyond: BoolArray) -> Answer:
         return (ends_at(layers.columns, sheet, beyond, config.max_step),)

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_service.tiles.beside import Answer, Beside, Strips, each_strip, spans_of
-from gpdf_service.tiles.nodes import components, count_labels, pairs_on, pieces_of
-from gpdf_service.types import BoolArray, IntArray
+from gpdf_service.tiles.nodes import components, count_labels, extents_of, pairs_on, pieces_of, plan_sums
+from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +74,15 @@ class Pieces:
     def counts(self, name: str, *kinds: Strips) -> IntArray:
         """How many nodes of each of the `kinds` there are in each piece, shape (kinds, pieces)."""
         return self.totals(name, _count, *kinds).T
+
+    def extents(self, name: str, among: Strips) -> tuple[FloatArray, FloatArray]:
+        """Length and depth of what the nodes `among` all of each piece cover [m], (pieces,), see `extents_of`."""
+        layers = self.near.layers
+
+        def add(own: slice, label: IntArray, labels: int, among: BoolArray) -> FloatArray:
+            return plan_sums(layers.cell[own], layers.shape[1], among, label, labels)
+
+        return extents_of(self.totals(name, add, among), layers.cell_width)
 
     def chosen(self, name: str, which: NDArray[Any]) -> Strips:
         """What is told of its piece for each node, by `which`, shape (pieces,): 0, or false, for a node of none."""
