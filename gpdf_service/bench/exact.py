@@ -58,11 +58,12 @@ def judge_path(world: SolidWorld, path: Trajectory, agent: Agent) -> Truth:
 
 
 def count_touching(
-    world: SolidWorld, places: FloatArray, agent: Agent, noise: float, scan: FloatArray
+    world: SolidWorld, places: FloatArray, agent: Agent, noise: float, things: FloatArray
 ) -> dict[str, int]:
     """At how many places (m, 3) a body that stands there is deeper in something than noise [m] explains.
 
-    And at how many of these in something of which the points of a `scan` (n, 3) [m] show that place.
+    And at how many of these in something that a scan shows there: the `things` are its points that are truly no ground
+    (n, 3) [m], for a wall that nobody saw stands on a floor that was seen.
     """
     points, ground = world.sample(SPACING, agent.height)
 
@@ -72,7 +73,7 @@ def count_touching(
     wrong = touching(Judge(points, ground), places)
     seen = ground.copy()
     if len(wrong):
-        seen |= cKDTree(scan).query(points, distance_upper_bound=SEEN)[0] <= SEEN
+        seen |= cKDTree(things).query(points, distance_upper_bound=SEEN)[0] <= SEEN
     return {"wrongly_free": len(wrong), "wrongly_free_seen": len(touching(Judge(points[seen], ground[seen]), wrong))}
 
 

@@ -83,7 +83,7 @@ def measure(seed: int, scanner: str, noise: float | None = None) -> Row:
         "inferred_off": int(np.count_nonzero(~inferred)),
         "inferred_unseen": count_unseen(place, scene, floor),
         "free": len(free),
-        **count_touching(place.world, free, AGENTS["human"], sigma, scan.points),
+        **count_touching(place.world, free, AGENTS["human"], sigma, scan.points[~scan.ground]),
         "way_free": way_is_free(place),
         "seen": was_seen(place, floor),
         "collisions": sum(truth.collides(sigma) for truth in truths),

@@ -106,16 +106,16 @@ def path_rows(
                 **{"ok": len(paths), "collisions": sum(truth.collides(sigma) for truth in truths)},
                 "deepest_mm": 1e3 * max((truth.penetration for truth in truths), default=0.0),
                 "in_the_air": sum(truth.in_the_air for truth in truths),
-                **_free(scene, place, AGENTS[name], sigma, seed, scan.points),
+                **_free(scene, place, AGENTS[name], sigma, seed, scan.points[~scan.ground]),
             }
 
 
-def _free(scene: Scene, place: Place, agent: Agent, sigma: float, seed: int, scan: FloatArray) -> Row:
+def _free(scene: Scene, place: Place, agent: Agent, sigma: float, seed: int, things: FloatArray) -> Row:
     """Of random places that the scene calls free: how many touch something, and how many are on no ground."""
     free = free_places(scene, agent, FREE, np.random.default_rng(seed))
     return {
         "free": len(free),
-        **count_touching(place.world, free, agent, sigma, scan),
+        **count_touching(place.world, free, agent, sigma, things),
         "no_ground": int((np.abs(feet_off(place.world, free, agent.max_step)) > ON).sum()),
     }
 

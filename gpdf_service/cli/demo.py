@@ -115,7 +115,7 @@ def _travel(client: Client, tour: Tour, out: Path) -> Iterator[dict[str, Any]]:
             row["deviation"] = result.certificate.max_height_deviation
             row["certified"] = result.certificate.holds
         yield row
-    from gpdf_service.clouds import read_cloud
+    from gpdf_service.clouds import read_cloud  # the service runs already
     from gpdf_service.pipeline import build_scene
     from gpdf_service.viewer.picture import draw_plans
 

@@ -104,10 +104,9 @@ def denoise(points: FloatArray, parts: BoolArray | None = None, noise: float | N
     for part, things in ((parts, False), (~parts, True)):
         rows = np.flatnonzero(part)
         if len(rows) > FEWEST:
-            for whole, own in zip(
-                _arrays(made), _arrays(_denoise_part(points.take(rows, 0), noise, things)), strict=True
-            ):
-                whole[rows] = own
+            own = _denoise_part(points.take(rows, 0), noise, things)
+            for whole, told in zip(_arrays(made), _arrays(own), strict=True):
+                whole[rows] = told
     return made
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
+from gpdf_service.kernel_cache import lean
 from gpdf_service.perception.footing import ROUGH, flights
 from gpdf_service.perception.strides import SOLE, STRIDE
 from gpdf_service.tiles.boxes import window
@@ -172,14 +174,21 @@ def _fill_bitten(height: NDArray[np.float32], asked: BoolArray, cell_width: floa
                     if beside == 0 or not low + half < tread < high - half:
                         continue
                     u, v = x + beside * way * dy, y + beside * way * dx
-                    wide = True
-                    for k in range(1, sole + 1):
-                        i, j = u + k * way * dy, v + k * way * dx
-                        wide = wide and 0 <= i < nx and 0 <= j < ny and abs(seen[i, j] - tread) <= half
                     up = abs(seen[u + on * dx, v + on * dy] - ahead)
                     down = abs(seen[u - back * dx, v - back * dy] - behind)
-                    if wide and min(up, down) <= half:
+                    if min(up, down) <= half and _goes_on(seen, (u, v), (way * dy, way * dx), sole, half):
                         height[x, y] = tread
+
+
+@lean()
+def _goes_on(height: NDArray[np.float32], at: tuple[int, int], by: tuple[int, int], cells: int, most: Any) -> bool:  # noqa: ANN401
+    """Whether so many cells further in a direction are as high, within `most` [m], as the one they begin at."""
+    for k in range(1, cells + 1):
+        u, v = at[0] + k * by[0], at[1] + k * by[1]
+        inside = 0 <= u < height.shape[0] and 0 <= v < height.shape[1]
+        if not (inside and abs(height[u, v] - height[at]) <= most):
+            return False
+    return True
 
 
 def between_treads(surface: HeightMap, asked: BoolArray, stair_step: float) -> BoolArray:
