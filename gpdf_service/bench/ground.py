@@ -18,6 +18,7 @@ from gpdf_service.clouds import read_cloud
 from gpdf_service.errors import RequestError
 from gpdf_service.perception import segment_ground
 from gpdf_service.synthetic import SCANNERS, SCENES, SyntheticScene, ramp, random_room
+from gpdf_service.synthetic.faults import FAULTS
 from gpdf_service.types import BoolArray, FloatArray
 
 RAISED = 0.04
@@ -54,6 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "islands, labels of random places and paths in them",
     )
     parser.add_argument("--scanner", action="append", choices=list(SCANNERS), help="of the houses; repeatable")
+    parser.add_argument("--origins", action="store_true", help="houses are built with where the rays began")
+    parser.add_argument("--fault", choices=list(FAULTS), help="of the scans of houses, as raw ones have them")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder of the real clouds")
     parser.add_argument("--json", action="store_true", help="print the rows as JSON")
 
@@ -87,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
 def _houses(args: argparse.Namespace) -> Iterator[Row]:
     noise = args.noise[0] if args.noise else None
     for scanner in args.scanner or ["tripod", "handheld"]:
-        yield from house_rows(scanner, args.count, args.seed, noise)
+        yield from house_rows(scanner, args.count, args.seed, noise, origins=args.origins, fault=args.fault)
 
 
 def _hall(args: argparse.Namespace) -> Iterator[Row]:

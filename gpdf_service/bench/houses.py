@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import TypedDict, Unpack
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -15,6 +16,7 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import GpdfError
 from gpdf_service.pipeline import build_scene, plan
 from gpdf_service.scene import Scene
+from gpdf_service.synthetic.faults import FAULTS
 from gpdf_service.synthetic.houses import house
 from gpdf_service.synthetic.place import Place
 from gpdf_service.synthetic.scanners import NOISE, SCANNERS, Scan
@@ -35,7 +37,9 @@ FREE = 2000
 KINDS = tuple(STAIRS)
 
 
-def scanned_house(seed: int, scanner: str, noise: float | None = None, thin: float = THIN) -> tuple[Place, Scan]:
+def scanned_house(
+    seed: int, scanner: str, noise: float | None = None, thin: float = THIN, fault: str | None = None
+) -> tuple[Place, Scan]:
     """A house and its scan; the kind of its stair goes round with the seed.
 
     Args:
@@ -43,31 +47,45 @@ def scanned_house(seed: int, scanner: str, noise: float | None = None, thin: flo
         scanner: One of `SCANNERS`.
         noise: Along the ray [m]; the scanner's own where it is None.
         thin: Width of the voxels of which one point is kept [m].
+        fault: One of `FAULTS`, or none.
     """
     rng = np.random.default_rng(seed)
     place = house(rng, KINDS[seed % len(KINDS)])
     scan = SCANNERS[scanner](place, rng, NOISE[scanner] if noise is None else noise)
+    if fault is not None:
+        scan = FAULTS[fault](place, scan, rng)
     return place, scan.thinned(thin, rng)
 
 
-def house_rows(scanner: str, count: int | None, seed: int, noise: float | None = None) -> Iterator[Row]:
+class How(TypedDict, total=False):
+    """How a house is scanned and built: told where rays began, and with one of the `FAULTS`."""
+
+    origins: bool
+    fault: str | None
+
+
+def house_rows(
+    scanner: str, count: int | None, seed: int, noise: float | None = None, **how: Unpack[How]
+) -> Iterator[Row]:
     """One row for each house, and one for all of them."""
     rows = []
     numbers = range(seed, seed + (COUNT[scanner] if count is None else count))
     for number in each(numbers, f"houses, {scanner}"):
-        rows.append({"row": "house", "scanner": scanner, "seed": number} | measure(number, scanner, noise))
+        rows.append({"row": "house", "scanner": scanner, "seed": number} | measure(number, scanner, noise, **how))
         yield rows[-1]
     if rows:
         yield {"row": "houses", "scanner": scanner, "houses": len(rows)} | _sum(rows)
 
 
-def measure(seed: int, scanner: str, noise: float | None = None) -> Row:
-    """Build one scanned house; plan from floor to floor and back; judge what is OK."""
-    place, scan = scanned_house(seed, scanner, noise)
+def measure(
+    seed: int, scanner: str, noise: float | None = None, *, origins: bool = False, fault: str | None = None
+) -> Row:
+    """Build one scanned house, told where rays began or not; plan from floor to floor and back; judge what is OK."""
+    place, scan = scanned_house(seed, scanner, noise, fault=fault)
     began = time.process_time()
     row: Row = {"kind": place.name, "points": len(scan.points)}
     try:
-        scene = build_scene(scan.points)
+        scene = build_scene(scan.points, origins=scan.origins if origins else None)
     except GpdfError as error:
         return row | {"up": False, "down": False, "said": f"{type(error).__name__}: {error}"[:90]}
     row["us_a_point"] = 1e6 * (time.process_time() - began) / len(scan.points)

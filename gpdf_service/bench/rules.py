@@ -16,9 +16,11 @@ from gpdf_service.bench import hard_clouds, houses, places
 from gpdf_service.bench.report import Row, each
 from gpdf_service.bench.scanned import judge, overlap, scanned
 from gpdf_service.clouds import read_cloud
+from gpdf_service.config import PerceptionConfig
 from gpdf_service.denoise import as_measured
 from gpdf_service.denoise.place import Placed
 from gpdf_service.errors import GpdfError
+from gpdf_service.perception.rays import LOW
 from gpdf_service.pipeline import build_scene
 from gpdf_service.synthetic import SCENES, random_room
 from gpdf_service.synthetic.places import ONE_FLOOR, bedroom, museum, platform, supermarket, workshop
@@ -65,6 +67,10 @@ def _middles(nodes: IntArray, *given: Any) -> FloatArray:  # noqa: ANN401
     return middle[nodes]
 
 
+def _no_steps(_: Any, asked: BoolArray, config: PerceptionConfig) -> tuple[FloatArray, BoolArray]:  # noqa: ANN401
+    return np.full(asked.shape, LOW * config.min_headroom), np.zeros_like(asked)
+
+
 _P, _D = "gpdf_service.perception.", "gpdf_service.denoise."
 RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "a foot on sparse cells": (_P + "segment", "find_footing", _false(2)),
@@ -109,6 +115,9 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "strips at a flight's side": (_P + "notches", "_fill_bitten", lambda *_: None),
     "treads seen as lines": (_P + "notches", "_as_wide_as_a_sole", lambda known, _: known),
     "walls of pits": (_P + "holes", "_walled_down", lambda surface, _: np.zeros(surface.state.shape, dtype=bool)),
+    "blind spots": (_P + "rays", "_blind_spots", lambda _, asked, __: np.zeros_like(asked)),
+    "holes that rays fell through": (_P + "rays", "_of_one_hole", lambda _, asked, *__: np.zeros_like(asked)),
+    "shadows and edges of steps": (_P + "rays", "_steps_beside", _no_steps),
     "slanted faces are steps": (_P + "limits", "_slanted", lambda _, slope: np.full(slope.shape, np.inf)),
     "narrow treads": (_P + "limits", "_is_narrow_tread", lambda height, *_: np.zeros(height.shape, dtype=bool)),
     "ridges of flights": (_P + "levels", "ridges", lambda surface, *_: np.zeros(surface.state.shape, dtype=bool)),
@@ -153,6 +162,7 @@ def rule_rows(data: Path, seed: int, count: int, rules: Sequence[str]) -> Iterat
         "real clouds": partial(_real, data),
         "islands": partial(_islands, seed),
         "houses": partial(_houses, seed, count),
+        "houses with origins": partial(_houses, seed, count, origins=True),
         "crowded places": partial(_crowded, seed),
         "depth camera": partial(_depth, seed),
         "reflections": partial(_reflections, seed),
@@ -203,10 +213,10 @@ def _reflections(seed: int) -> Row:
     return {key: round(row[key], 4) for key in ("known_of_true", "human_free_of_true", "roomba_free_of_true")}
 
 
-def _houses(seed: int, count: int) -> Row:
+def _houses(seed: int, count: int, origins: bool = False) -> Row:
     made: Row = {}
     for scanner in ("tripod", "handheld"):
-        rows = [houses.measure(number, scanner) for number in range(seed, seed + count)]
+        rows = [houses.measure(number, scanner, origins=origins) for number in range(seed, seed + count)]
         made[f"{scanner}_ways"] = sum(row["up"] + row["down"] for row in rows)
         for key in ("inferred", "inferred_off", "inferred_unseen", "wrongly_free", "collisions", "in_the_air"):
             made[f"{scanner}_{key}"] = sum(row.get(key, 0) for row in rows)

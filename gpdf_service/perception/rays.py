@@ -12,6 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import CloudError
@@ -95,7 +97,8 @@ def seen_by_rays(filled: HeightMap, rays: Rays, config: PerceptionConfig, noise:
 
     What hides behind a thing, or in it, no ray has passed over as low as half the lowest body is high. A scanner's own
     blind spot is no shadow: nothing nearer to its nadir than the nearest that it saw in that direction can have cast
-    one. Single cells with seen ground on all four sides are the scan's spacing.
+    one. Single cells with seen ground on all four sides are the scan's spacing. Beside a step up the step itself casts
+    a shadow, so there a ray need only be lower than its upper edge. Beside a step down a ray that fell passed the edge.
 
     Args:
         filled: After `fill_holes`.
@@ -106,33 +109,45 @@ def seen_by_rays(filled: HeightMap, rays: Rays, config: PerceptionConfig, noise:
     asked = filled.state == INFERRED
     if not asked.any():
         return filled
-    passed, fell = _follow(filled, asked, rays, config, noise)
-    label, count = ndimage.label(asked)
-    open_ = np.zeros(count + 1, dtype=bool)
-    open_[label[fell]] = True
-    open_[0] = False
+    room, edge = _steps_beside(filled, asked, config)
+    passed, fell = _follow(filled, _grid_of(filled, asked, room), rays, config, noise)
     beside = ndimage.minimum_filter(filled.state == OBSERVED, footprint=_CROSS, mode="constant")
     shown = (passed >= ENOUGH) | beside | _blind_spots(filled, asked, rays)
-    return without(filled, asked & (~shown | open_[label]))
+    return without(filled, asked & (~shown | _of_one_hole(filled, asked, fell & ~edge, LOW * config.min_headroom)))
 
 
 _CROSS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=bool)
 """The four neighbours of a cell."""
 
 
+def _of_one_hole(surface: HeightMap, asked: BoolArray, cells: BoolArray, apart: float) -> BoolArray:
+    """The `asked` cells that hang together with one of the `cells` over no step higher than `apart` [m], (nx, ny)."""
+    row = np.full(asked.shape, -1)
+    row[asked] = np.arange(np.count_nonzero(asked))
+    steepest, pairs = max(apart, surface.cell_width), []
+    for one, other in (((slice(1, None),), (slice(-1),)), ((..., slice(1, None)), (..., slice(-1)))):
+        flat = np.abs(surface.height[one] - surface.height[other]) <= steepest  # never so where one is unknown
+        pairs.append(np.stack([row[one], row[other]])[:, flat & asked[one] & asked[other]])
+    ends = np.concatenate(pairs, axis=1)
+    graph = coo_array((np.ones(ends.shape[1], dtype=bool), tuple(ends)), shape=2 * (np.count_nonzero(asked),))
+    _, label = connected_components(graph, directed=False)
+    made = np.zeros_like(asked)
+    made[asked] = np.isin(label, label[cells[asked]])
+    return made
+
+
 def _follow(
-    surface: HeightMap, asked: BoolArray, rays: Rays, config: PerceptionConfig, noise: float
+    surface: HeightMap, grid: _Grid, rays: Rays, config: PerceptionConfig, noise: float
 ) -> tuple[NDArray[np.int64], BoolArray]:
-    """How many rays passed low over each of the `asked` cells, and into which one fell, both (nx, ny)."""
-    grid = _grid_of(surface, asked)
-    low, high = float(np.nanmin(grid.height)), float(np.nanmax(grid.height))
+    """How many rays passed low over each of the cells that are asked about, and into which one fell, both (nx, ny)."""
+    low, high = float(np.nanmin(grid.height)), float(np.nanmax(grid.top))
     before = max(2.0 * surface.cell_width, ENDS_BEFORE * noise)
-    bounds = low - surface.cell_width, high + config.min_headroom, before
+    bounds = low - surface.cell_width, high, before
     sampled = max(1, len(rays.ends) // SAMPLE)
     tiles = _tiles_along(rays, grid, bounds, sampled) * sampled
     every = max(1, int(np.ceil(tiles / (STEPS * max(len(rays.ends), 1)))))
-    own = rays, grid, bounds, (LOW * config.min_headroom, config.max_step)
-    passed, fell = np.zeros(asked.shape, np.int64), np.zeros(asked.shape, dtype=bool)
+    own = rays, grid, bounds, config.max_step
+    passed, fell = np.zeros(grid.height.shape, np.int64), np.zeros(grid.height.shape, dtype=bool)
     for count, through in run_parallel(lambda k: _cast(*own, k * every, SHARES * every), range(SHARES)):
         passed += count
         fell |= through
@@ -140,27 +155,67 @@ def _follow(
 
 
 class _Grid(NamedTuple):
-    """Cells that are asked about: their height [m], NaN of the others; and of each tile of them the lowest and highest.
+    """Cells that are asked about: their height, NaN of the others, and how high a ray may pass over them [m].
 
-    The origin is the lower corner [m], the width that of a cell.
+    Of each tile of them the lowest height and the highest top. The origin is the lower corner [m], the width that of a
+    cell.
     """
 
     height: NDArray[np.float32]
+    top: NDArray[np.float32]
     lowest: NDArray[np.float32]
     highest: NDArray[np.float32]
     origin: FloatArray
     width: float
 
 
-def _grid_of(surface: HeightMap, asked: BoolArray) -> _Grid:
+def _grid_of(surface: HeightMap, asked: BoolArray, room: NDArray[np.float32]) -> _Grid:
     tiles = [-(-cells // TILE) for cells in asked.shape]
     pad = [(0, n * TILE - cells) for n, cells in zip(tiles, asked.shape, strict=True)]
+    top = surface.height + room
     ends = []
-    for nothing, end in ((np.inf, np.min), (-np.inf, np.max)):
-        heights = np.pad(np.where(asked, surface.height, nothing), pad, constant_values=nothing)
-        ends.append(end(heights.reshape(tiles[0], TILE, tiles[1], TILE), axis=(1, 3)).astype(np.float32))
-    height = np.where(asked, surface.height, np.nan).astype(np.float32)
-    return _Grid(height, ends[0], ends[1], np.asarray(surface.origin, dtype=np.float64), surface.cell_width)
+    for values, nothing, end in ((surface.height, np.inf, np.min), (top, -np.inf, np.max)):
+        padded = np.pad(np.where(asked, values, nothing), pad, constant_values=nothing)
+        ends.append(end(padded.reshape(tiles[0], TILE, tiles[1], TILE), axis=(1, 3)).astype(np.float32))
+    height, top = (np.where(asked, values, np.nan).astype(np.float32) for values in (surface.height, top))
+    return _Grid(height, top, ends[0], ends[1], np.asarray(surface.origin, dtype=np.float64), surface.cell_width)
+
+
+def _steps_beside(
+    surface: HeightMap, asked: BoolArray, config: PerceptionConfig
+) -> tuple[NDArray[np.float32], BoolArray]:
+    """How high a ray may pass over `asked` ground that it shows to be free [m], and what is beside a step down.
+
+    Within what a foot bridges of a step up it may pass as high as the step: what hides there is in its edge's shadow.
+    """
+    low = LOW * config.min_headroom
+    seen = np.where(surface.state == OBSERVED, surface.height, np.float32(np.nan))
+    reach = int(np.ceil(config.widest_gap / surface.cell_width))
+    room, edge = np.full(asked.shape, low, np.float32), np.zeros_like(asked)
+    _look_beside(surface.height, seen, np.argwhere(asked), (reach, low, config.max_step), (room, edge))
+    return room, edge
+
+
+@njit(cache=True, nogil=True)
+def _look_beside(
+    height: NDArray[np.float32],
+    seen: NDArray[np.float32],
+    cells: IntArray,
+    limits: tuple[int, float, float],
+    told: tuple[NDArray[np.float32], BoolArray],
+) -> None:
+    """The highest `seen` ground within so many cells that is a step up, and whether some is a step down, of each cell.
+
+    The other limits are the least and the most that a step is high [m].
+    """
+    (nx, ny), (reach, least, most), (room, edge) = height.shape, limits, told
+    for x, y in cells:
+        for i in range(max(x - reach, 0), min(x + reach + 1, nx)):
+            for j in range(max(y - reach, 0), min(y + reach + 1, ny)):
+                over = seen[i, j] - height[x, y]
+                if room[x, y] < over <= most:
+                    room[x, y] = over
+                edge[x, y] |= least < -over <= most
 
 
 @njit(cache=True, nogil=True)
@@ -229,15 +284,15 @@ def _go_on(shape: tuple[int, int], walk: _Walk) -> bool:
 
 @njit(cache=True, nogil=True)
 def _cast(
-    rays: Rays, grid: _Grid, bounds: tuple[float, float, float], limits: tuple[float, float], begin: int, step: int
+    rays: Rays, grid: _Grid, bounds: tuple[float, float, float], max_step: float, begin: int, step: int
 ) -> tuple[NDArray[np.uint8], BoolArray]:
     """Follow every `step`-th ray from tile to tile, and from cell to cell in those where it is as low as the ground.
 
     Returns:
-        How many of them were in each asked cell lower over its ground than the first of the `limits`, 255 at most; and
-        into which cells one went through the ground, from or to deeper under it than the second.
+        How many of them were in each asked cell between its ground and its top, 255 at most; and in which cells one
+        went through the ground, from or to deeper under it than `max_step` [m].
     """
-    (headroom, max_step), far, (origins, ends) = limits, _far_corner(grid), rays
+    far, (origins, ends) = _far_corner(grid), rays
     tiles = grid.origin, TILE * grid.width, grid.lowest.shape
     seen = passed, fell = np.zeros(grid.height.shape, np.uint8), np.zeros(grid.height.shape, np.bool_)
     walk = np.zeros(2, np.int64), np.zeros(2, np.int64), np.zeros(2), np.zeros(2)
@@ -253,8 +308,8 @@ def _cast(
             x, y = walk[0]
             leave = max(min(min(walk[2][0], walk[2][1]), last), t)
             z, behind = a[2] + t * (b[2] - a[2]), a[2] + leave * (b[2] - a[2])
-            if min(z, behind) <= grid.highest[x, y] + headroom and max(z, behind) >= grid.lowest[x, y]:
-                _look_along((a, b), (t, leave), grid, (headroom, deep), inner, seen)
+            if min(z, behind) <= grid.highest[x, y] and max(z, behind) >= grid.lowest[x, y]:
+                _look_along((a, b), (t, leave), grid, deep, inner, seen)
             t = leave
             if not _go_on(tiles[2], walk):
                 break
@@ -266,12 +321,12 @@ def _look_along(
     ray: _Ray,
     part: tuple[float, float],
     grid: _Grid,
-    limits: tuple[float, float],
+    deep: float,
     walk: _Walk,
     seen: tuple[NDArray[np.uint8], BoolArray],
 ) -> None:
     """`_cast` of the part of a ray between two shares of it (Amanatides and Woo, 1987)."""
-    (a, b), (t, last), (headroom, deep), (passed, fell) = ray, part, limits, seen
+    (a, b), (t, last), (passed, fell) = ray, part, seen
     shape, at = grid.height.shape, walk[0]
     _enter(ray, t, (grid.origin, grid.width, shape), walk)
     while t < last:
@@ -280,7 +335,7 @@ def _look_along(
         if ground == ground:
             z, behind = a[2] + t * (b[2] - a[2]), a[2] + leave * (b[2] - a[2])
             lowest, highest = min(z, behind), max(z, behind)
-            if lowest <= ground + headroom and highest >= ground and passed[at[0], at[1]] < 255:
+            if lowest <= grid.top[at[0], at[1]] and highest >= ground and passed[at[0], at[1]] < 255:
                 passed[at[0], at[1]] += 1
             if lowest < ground <= highest and deep < ground:
                 fell[at[0], at[1]] = True

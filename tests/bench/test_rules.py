@@ -62,7 +62,7 @@ def test_a_rule_is_told_by_the_first_scenes_that_it_moves(tmp_path, monkeypatch)
 
     floor = np.column_stack([*(axis.ravel() for axis in np.meshgrid(*2 * [np.arange(0.0, 2.0, 0.05)])), np.zeros(1600)])
     for name in ("_houses", "_crowded", "_islands", "_depth", "_reflections"):
-        monkeypatch.setattr(f"gpdf_service.bench.rules.{name}", lambda *_: {"ways": len(asked)})
+        monkeypatch.setattr(f"gpdf_service.bench.rules.{name}", lambda *_, **__: {"ways": len(asked)})
     monkeypatch.setattr("gpdf_service.bench.rules._rooms", rooms)
     rows = list(rule_rows(tmp_path, 1, 2, ["ceilings", "roofs"]))
     assert [row["without"] for row in rows] == ["ceilings", "roofs"]
