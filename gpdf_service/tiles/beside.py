@@ -38,10 +38,14 @@ Spans = Sequence[slice]
 
 
 class Told(NamedTuple):
-    """What a question was told: what is `given` for the strips, and what was `made` of it for each of them."""
+    """What a question was told: what is `given` for the strips, and what was `made` of it for each of them.
+
+    At last the same by `kinds`, each for all strips: where nothing is other these are the objects of the version before.
+    """
 
     given: tuple[Sequence[object], ...]
     made: list[Answer]
+    kinds: tuple[Strips, ...]
 
 
 _Ends = tuple[int, int, int, int]
@@ -133,7 +137,7 @@ class Beside:
             stay = [each[~_within(each[:, 0], ny, box)] for (each,) in was.made[begin:end]]
             return [(np.concatenate(both),) for both in zip(stay, made, strict=True)]
 
-        pairs = flat([each for (each,) in self.told(name, given, make, spans)])
+        pairs = flat(self.told(name, given, make, spans)[0])
         return start[pairs[:, 0]] + pairs[:, 2], start[pairs[:, 1]] + pairs[:, 3]
 
     def few(
@@ -176,7 +180,7 @@ class Beside:
 
             return each_strip(one, begin, end)
 
-        return flat([each for (each,) in self.told(name, (asked, *held, *given), make, spans)])
+        return flat(self.told(name, (asked, *held, *given), make, spans)[0])
 
     def where(self, name: str, kind: Strips, *given: Strips) -> tuple[NDArray[Any], ...]:
         """The numbers of the nodes that are of a `kind`, shape (m,), and what is given for them."""
@@ -186,14 +190,13 @@ class Beside:
             rows = [np.flatnonzero(kind[i]) for i in range(begin, end)]
             return [(row, *(each[begin + i][row] for each in given)) for i, row in enumerate(rows)]
 
-        rows, *told = zip(*self.told(f"{name}, where", (kind, *given), make), strict=True)
+        rows, *told = self.told(f"{name}, where", (kind, *given), make)
         return np.concatenate([row + begin for row, begin in zip(rows, first, strict=False)]), *map(flat, told)
 
     def same(self, name: str, own: Sequence[NDArray[Any]]) -> Strips:
         """An array of each strip, and the one that was told before where it is the same."""
         was, made = self.former.get(name), list[Answer]((each,) for each in own)
-        self.known[name] = Told((), made if was is None else list(map(self._as_it_was, made, was.made)))
-        return tuple(each for (each,) in self.known[name].made)
+        return self._keep(name, (), made if was is None else list(map(self._as_it_was, made, was.made)))[0]
 
     def given(self, name: str, values: NDArray[Any]) -> Strips:
         """The values of all nodes, shape (k,), by strips; nobody writes over them."""
@@ -207,8 +210,8 @@ class Beside:
         given: tuple[Strips, ...],
         make: Callable[[int, int], list[Answer]],
         spans: Spans | None = None,
-    ) -> list[Answer]:
-        """The answer to a question for each strip.
+    ) -> tuple[Strips, ...]:
+        """The answers to a question, each for all strips.
 
         Args:
             name: Of the question.
@@ -219,13 +222,20 @@ class Beside:
         """
         was, of = self.former.get(name), (self.nodes, *given)
         if was is None:
-            self.known[name] = Told(of, make(0, len(self.nodes)))
-            return self.known[name].made
+            return self._keep(name, of, make(0, len(self.nodes)))
         found = was.made.copy()
         for begin, end in _runs(_asked(of, was.given, spans)):
             found[begin:end] = map(self._as_it_was, make(begin, end), found[begin:end])
-        self.known[name] = Told(of, found)
-        return found
+        return self._keep(name, of, found)
+
+    def _keep(self, name: str, given: tuple[Strips, ...], made: list[Answer]) -> tuple[Strips, ...]:
+        """Remember what a question was told."""
+        was = self.former.get(name)
+        if was is not None and all(map(is_, made, was.made)):
+            self.known[name] = was._replace(given=given)
+        else:
+            self.known[name] = Told(given, made, tuple(zip(*made, strict=True)))
+        return self.known[name].kinds
 
     def strips_of(self, points: FloatArray) -> tuple[int, int]:
         """The first strip and behind the last that hold points (n, 3) [m]; one strip for none."""
@@ -265,12 +275,12 @@ class Beside:
         """`told` of what is told of each node, and into `others` where that is other than before."""
         found = self.told(name, given, make, spans)
         self._note(name)
-        return tuple(zip(*found, strict=True))
+        return found
 
     def _note(self, name: str) -> None:
         """Write into `others` where a question was told otherwise of nodes than before."""
-        (nx, ny), was = self.layers.shape, self.former.get(name)
-        for i, (found, before) in enumerate(zip(self.known[name].made, was.made, strict=True) if was else ()):
+        (nx, ny), made, was = self.layers.shape, self.known[name].made, self.former.get(name)
+        for i, (found, before) in enumerate(zip(made, was.made, strict=True) if was and was.made is not made else ()):
             for now, old in zip(found, before, strict=True) if found is not before else ():
                 if now is not old and not self._is_other(now, old):
                     self.others[id(now)] = now, old, self._unlike(i, now, old, (0, nx, 0, ny))[0]
