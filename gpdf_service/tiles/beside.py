@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from math import ceil
 from operator import is_
@@ -54,7 +54,7 @@ Other = tuple[object, object, _Ends]
 """What is told now, what was in the version before, and where it is other."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Beside:
     """Nodes in strips, and what was asked of them.
 
@@ -74,10 +74,10 @@ class Beside:
     was: IntArray
     others: dict[int, Other]
 
-    @property
+    @cached_property
     def first(self) -> IntArray:
         """First node of each strip, and how many there are, shape (strips + 1,)."""
-        begin: IntArray = self.layers.start[self._cells()]
+        begin: IntArray = self.layers.start[self._cells]
         return begin
 
     def rows(self, strip: int) -> slice:
@@ -103,7 +103,7 @@ class Beside:
             part, asked, _, told = self._part(box, reach, given)
             made = answer(part, asked, *told)
             if was is None:
-                return [tuple(values[a:b] for values in made) for a, b in pairwise(self.first)]
+                return [tuple(values[a:b] for values in made) for a, b in pairwise(self.first.tolist())]
             before = zip(*was.made[begin:end], strict=True)
             own = [self._spliced(begin, box, new[asked], old) for new, old in zip(made, before, strict=True)]
             return list(zip(*own, strict=True))
@@ -121,7 +121,7 @@ class Beside:
     ) -> tuple[IntArray, IntArray]:
         """Pairs of nodes that a question is told, of each of which the first node decides; see `around`."""
         was, ny, spans = self.former.get(name), self.layers.shape[1], spans_of(len(self.nodes), ceil(reach / ROWS))
-        start, cells = self.layers.start, self._cells()
+        start, cells = self.layers.start, self._cells
 
         def make(begin: int, end: int) -> list[Answer]:
             box = self._window(given, was, slice(begin, end), reach)
@@ -195,12 +195,14 @@ class Beside:
 
     def same(self, name: str, own: Sequence[NDArray[Any]]) -> Strips:
         """An array of each strip, and the one that was told before where it is the same."""
-        was, made = self.former.get(name), list[Answer]((each,) for each in own)
-        return self._keep(name, (), made if was is None else list(map(self._as_it_was, made, was.made)))[0]
+        if (was := self.former.get(name)) is None:
+            return self._keep(name, (), [(each,) for each in own])[0]
+        pairs = zip(own, was.made, strict=True)
+        return self._keep(name, (), [old if _alike(each, old[0]) else (each,) for each, old in pairs])[0]
 
     def given(self, name: str, values: NDArray[Any]) -> Strips:
         """The values of all nodes, shape (k,), by strips; nobody writes over them."""
-        strips = self.same(name, [values[a:b] for a, b in pairwise(self.first)])
+        strips = self.same(name, [values[a:b] for a, b in pairwise(self.first.tolist())])
         self._note(name)
         return strips
 
@@ -260,6 +262,7 @@ class Beside:
         """The same without the version before."""
         return Beside(self.layers, self.nodes, self.known, {}, self.layers.start, {})
 
+    @cached_property
     def _cells(self) -> IntArray:
         """First cell of each strip, and how many there are."""
         (nx, ny), rows = self.layers.shape, ROWS * np.arange(len(self.nodes) + 1)
@@ -291,7 +294,7 @@ class Beside:
 
     def _unlike(self, strip: int, fresh: NDArray[Any], old: NDArray[Any], box: _Ends) -> tuple[_Ends, int]:
         """Where in a box nodes of a strip are told otherwise than before, and how many are in it: see `box_unlike`."""
-        cells, ny = self._cells()[strip : strip + 2], self.layers.shape[1]
+        cells, ny = self._cells[strip : strip + 2], self.layers.shape[1]
         told = old.view(f"u{old.itemsize}"), fresh.view(f"u{fresh.itemsize}")
         where, count = box_unlike(*told, self.was, self.layers.start, (cells[0], cells[1]), ny, box)
         return where, count
@@ -340,7 +343,7 @@ class Beside:
 
         Where that is other than before is written into `others`.
         """
-        cells, start, ny, used, made = self._cells(), self.layers.start, self.layers.shape[1], 0, []
+        cells, start, ny, used, made = self._cells, self.layers.start, self.layers.shape[1], 0, []
         ends = box[0].start, box[0].stop, box[1].start, box[1].stop
         for i, old in enumerate(before, begin):
             values, (where, count) = old, self._unlike(i, fresh[used:], old, ends)

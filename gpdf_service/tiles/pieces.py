@@ -107,7 +107,8 @@ def find_pieces(near: Beside, name: str, inner: Strips, rise: float, step: float
 
     def make(begin: int, end: int) -> list[Answer]:
         def one(i: int) -> Answer:
-            return pieces_of(near.strips(i, i + 1).columns, inner[i], rise, step)
+            rows = near.rows(i)
+            return pieces_of(near.layers.columns_in(rows.start, rows.stop), inner[i], rise, step)
 
         return each_strip(one, begin, end)
 
