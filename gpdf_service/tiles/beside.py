@@ -9,12 +9,13 @@ strip, by the pairs that go on into the next one, and by a graph of these pieces
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from itertools import pairwise
+from itertools import compress, count, pairwise
 from math import ceil
-from operator import is_
+from operator import is_, is_not
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -381,11 +382,12 @@ def spans_of(size: int, before: int, behind: int | None = None) -> Spans:
 
 def _asked(now: tuple[Sequence[object], ...], was: tuple[Sequence[object], ...], spans: Spans | None) -> list[int]:
     """Strips for which something else is given than before."""
-    pairs = (zip(ours, theirs, strict=True) for ours, theirs in zip(now, was, strict=True) if ours is not theirs)
-    other = sorted({i for both in pairs for i, (one, another) in enumerate(both) if one is not another})
+    pairs = ((ours, theirs) for ours, theirs in zip(now, was, strict=True) if ours is not theirs)
+    other = sorted({i for ours, theirs in pairs for i in compress(count(), map(is_not, ours, theirs))})
     if spans is None or not other:
         return other
-    return [i for i, span in enumerate(spans) if any(span.start <= k < span.stop for k in other)]
+    ends = [*other, len(spans)]
+    return [i for i, span in enumerate(spans) if ends[bisect_left(other, span.start)] < span.stop]
 
 
 def _runs(asked: list[int]) -> list[tuple[int, int]]:

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_service.tiles.beside import Answer, Beside, Strips, each_strip, spans_of
+from gpdf_service.tiles.layers import flat
 from gpdf_service.tiles.nodes import add_rows, components, count_labels, extents_of, pairs_on, pieces_of, plan_sums
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -87,7 +89,7 @@ class Pieces:
     def chosen(self, name: str, which: NDArray[Any]) -> Strips:
         """What is told of its piece for each node, by `which`, shape (pieces,): 0, or false, for a node of none."""
         told = np.append(which[: self.count], which.dtype.type(0))[self.number]
-        own = self.near.same(f"{name}, which", np.split(told, self.first[1:-1]))
+        own = self.near.same(f"{name}, which", [told[a:b] for a, b in pairwise(self.first.tolist())])
 
         def make(begin: int, end: int) -> list[Answer]:
             return [(own[i][self.label[i]],) for i in range(begin, end)]
@@ -123,15 +125,16 @@ def find_pieces(near: Beside, name: str, inner: Strips, rise: float, step: float
 
     label, starts = near.told(f"{name}, pieces", (inner,), make)
     (pairs,) = near.told(f"{name}, seams", (label,), join, spans_of(len(label), 0, 1))
-    begin = np.concatenate([[0], np.cumsum([len(each) + 1 for each in starts])])  # one of a strip for none
-    a, b = np.concatenate([each + begin[i : i + 2] for i, each in enumerate(pairs)]).T
+    counts, joins = [np.array([len(each) for each in strips]) for strips in (starts, pairs)]
+    begin = np.concatenate([[0], np.cumsum(counts + 1)])  # one of a strip for none
+    a, b = (flat(pairs) + np.repeat(np.column_stack([begin[:-1], begin[1:]]), joins, axis=0)).T
     own = np.ones(begin[-1], dtype=bool)
     own[begin[1:] - 1] = False
     found = components(a, b, own)[own]
     number = (np.cumsum(np.bincount(found) > 0) - 1)[found]
     count = int(number.max(initial=-1)) + 1
     nodes, labels = np.empty(count, np.int64), np.full(begin[-1], count)
-    nodes[number[::-1]] = np.concatenate([each + first[i] for i, each in enumerate(starts)])[::-1]  # the last stays
+    nodes[number[::-1]] = (flat(starts) + np.repeat(first[:-1], counts))[::-1]  # the last stays
     labels[own] = number
     return Pieces(near, label, begin, labels, nodes)
 
