@@ -12,7 +12,7 @@ from gpdf_service.config import FieldConfig, SearchConfig
 from gpdf_service.fields import Gpdf, Tree, build_tree, change_tree, thin
 from gpdf_service.fields.threads import run_beside, run_parallel
 from gpdf_service.perception import CLEAN, GroundLevel, Levels, Obstacles, Scan, Touched, obstacles_of
-from gpdf_service.perception.obstacles import obstacles_reach
+from gpdf_service.perception.obstacles import obstacles_felt, obstacles_reach
 from gpdf_service.search.free_space import (
     FreeSpace,
     LevelSpace,
@@ -88,7 +88,7 @@ def _change_level(
 ) -> LevelSpace:
     surface, agent, radius = level.surface, old.agent, old.radius
     reach, shut = obstacles_reach(surface, agent)
-    region = widened(touched, reach)
+    region = obstacles_felt(touched, was.surface, surface, agent)
     found = obstacles_of(_part(level, first, region, reach, shut), agent, scan, level.limits_in(region))
     inside, gone = rows_in_cells(found.points, *_grid(surface), region), rows_in_tree(was.tree, *_grid(surface), region)
     lost = was.tree.order[gone]
