@@ -27,7 +27,7 @@ from gpdf_service.perception.holes import (
     standing,
     without_enclosed,
 )
-from gpdf_service.perception.ledges import LEAST_OBSTACLE, find_ledges, ground_reach, ledge_reach
+from gpdf_service.perception.ledges import LEAST_OBSTACLE, find_ledges, ground_reach, ledge_reach, ledges_felt
 from gpdf_service.perception.limits import (
     GroundLimits,
     Measured,
@@ -389,7 +389,8 @@ def _make_level(site: _Site, sheet: BoolArray, part: Part, before: Made | None) 
         grid = replace(grid, known=was.grid.known | grid.known)
     other = changed(was.level.surface, surface)
     surface = surface if other.any() else was.level.surface  # versions share it
-    asked = widened(columns | widened(other, ledge_reach(surface)), ground_reach(surface)) | held.unlike
+    felt = columns | ledges_felt(other, was.level.surface, surface)
+    asked = widened(felt, ground_reach(surface)) | held.unlike
     ledge = _find_ledges_in(site, surface, held, asked)
     stepped = held.unlike | unlike_cells(asked, was.first, was.level.ledge[:, None], held.first, ledge[:, None])
     touched = widened(stepped | other, 1) | grid.other_answers("measured", "ridges", "edges")  # all that limits tell

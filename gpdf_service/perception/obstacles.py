@@ -10,16 +10,16 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_chunked, run_parallel
-from gpdf_service.perception.footing import ROUGH, flights, footing_reach, is_tread, on_treads, rings_of
+from gpdf_service.perception.footing import ROUGH, by_treads, footing_reach, is_tread, on_treads, rings_of
 from gpdf_service.perception.ledges import FACE, LEAST_OBSTACLE, astray
 from gpdf_service.perception.levels import GroundLevel
 from gpdf_service.perception.limits import GroundLimits, ObstacleKind
 from gpdf_service.perception.strides import SOLE, STRIDE
-from gpdf_service.tiles.boxes import widened, window
+from gpdf_service.tiles.boxes import widened
 from gpdf_service.tiles.nearest import nearest_of
 from gpdf_service.tiles.points import Points
 from gpdf_service.tiles.rows import between, chosen_rows, under
-from gpdf_service.tiles.surface import INFERRED, UNKNOWN, Cells, HeightMap, cells_within, cropped
+from gpdf_service.tiles.surface import INFERRED, UNKNOWN, Cells, HeightMap, cells_within
 from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
 
 HEADROOM_SHARE = 0.01
@@ -108,11 +108,7 @@ def obstacles_felt(touched: BoolArray, was: HeightMap, surface: HeightMap, agent
         agent: The body.
     """
     body, shut, tread = _rings(surface, agent)
-    by_treads = widened(touched, tread)
-    box = window(by_treads, rings_of(STRIDE, surface.cell_width))
-    uneven = flights(cropped(was, box), ROUGH) | flights(cropped(surface, box), ROUGH)
-    by_treads[box] &= uneven
-    return widened(touched, shut + body) | widened(by_treads, shut)
+    return widened(touched, shut + body) | widened(by_treads(touched, tread, (was, surface), 1), shut)
 
 
 def _material(level: GroundLevel, agent: Agent, scan: Scan) -> BoolArray:
