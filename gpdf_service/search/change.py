@@ -92,7 +92,9 @@ def _change_level(
     found = obstacles_of(_part(level, first, region, reach, shut), agent, scan, level.limits_in(region))
     inside, gone = rows_in_cells(found.points, *_grid(surface), region), rows_in_tree(was.tree, *_grid(surface), region)
     lost = was.tree.order[gone]
-    key = [hashed(each.points.view(np.uint64), each.kind, rows) for each, rows in ((was.obstacles, lost), (found, inside))]
+    key = [
+        hashed(each.points.view(np.uint64), each.kind, rows) for each, rows in ((was.obstacles, lost), (found, inside))
+    ]
     other = more_now(np.concatenate(key), len(lost)) != 0
     gone, inside = gone[other[: len(lost)]], inside[other[len(lost) :]]
     lost, fresh = np.sort(was.tree.order[gone]), found.points[inside]

@@ -41,7 +41,7 @@ Spans = Sequence[slice]
 class Told(NamedTuple):
     """What a question was told: what is `given` for the strips, and what was `made` of it for each of them.
 
-    At last the same by `kinds`, each for all strips: where nothing is other these are the objects of the version before.
+    At last the same by `kinds`, each for all strips: the very objects of the version before where nothing is other.
     """
 
     given: tuple[Sequence[object], ...]
@@ -231,7 +231,7 @@ class Beside:
             found[begin:end] = map(self._as_it_was, make(begin, end), found[begin:end])
         return self._keep(name, of, found)
 
-    def _keep(self, name: str, given: tuple[Strips, ...], made: list[Answer]) -> tuple[Strips, ...]:
+    def _keep(self, name: str, given: tuple[Sequence[object], ...], made: list[Answer]) -> tuple[Strips, ...]:
         """Remember what a question was told."""
         was = self.former.get(name)
         if was is not None and all(map(is_, made, was.made)):

@@ -118,7 +118,7 @@ def find_pieces(near: Beside, name: str, inner: Strips, rise: float, step: float
         def one(i: int) -> Answer:
             if i + 1 == len(near.nodes):
                 return (np.zeros((0, 2), np.int64),)
-            ends = label[i : i + 2], (first[i], first[i + 1]), (len(starts[i]), len(starts[i + 1]))
+            ends = (label[i], label[i + 1]), (first[i], first[i + 1]), (len(starts[i]), len(starts[i + 1]))
             return (pairs_on(near.layers.columns, near.rows(i).stop - 1, *ends, rise, step),)
 
         return each_strip(one, begin, end)
