@@ -28,7 +28,10 @@ def end_threads() -> None:
 
 def run_chunked(kernel: Callable[[int, int], None], count: int) -> None:
     """Call `kernel(begin, end)` over ranges that tile `range(count)`, on all cores when there is enough to do."""
-    chunks = max(1, min(4 * worker_count(), count // MIN_CHUNK))
+    if count < 2 * MIN_CHUNK:
+        kernel(0, count)
+        return
+    chunks = min(4 * worker_count(), count // MIN_CHUNK)
     run_parallel(lambda i: kernel(count * i // chunks, count * (i + 1) // chunks), range(chunks))
 
 

@@ -147,16 +147,19 @@ def _with_tops(
     made = np.zeros(len(ground))
     _join_tops(nodes[last], layers.columns, ground, raised[last], (reach, room), config.max_step, made)
     made[nodes] = raised
-    nodes = np.flatnonzero(made)
-    slope = layers.cell_width * float(np.tan(config.steepest))
-    return nodes, made[nodes], _pieces(nodes, layers.columns, made > 0.0, slope)
+    found = made > 0.0
+    nodes, slope = np.flatnonzero(found), layers.cell_width * float(np.tan(config.steepest))
+    return nodes, made[nodes], _pieces(nodes, layers.columns, found, slope)
 
 
+@njit(cache=True, nogil=True)
 def _tops(raised: FloatArray, piece: IntArray) -> IntArray:
-    """Of each piece the row of the node that is raised most, shape (pieces,)."""
-    order = np.lexsort((raised, piece))
-    last: IntArray = order[np.r_[np.diff(piece[order]) > 0, True]]
-    return last
+    """Of each piece the row of the node that is raised most, the last one of such, shape (pieces,)."""
+    made = np.full(piece.max() + 1, -1)
+    for i in range(len(piece)):
+        if made[piece[i]] < 0 or raised[i] >= raised[made[piece[i]]]:
+            made[piece[i]] = i
+    return made
 
 
 def _raised(

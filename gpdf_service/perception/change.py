@@ -98,8 +98,8 @@ def _change_strays(stray: BoolArray, cloud: Cloud, width: float) -> BoolArray:
     low, high = voxel.min(axis=0), voxel.max(axis=0) + 1.0
     near = cloud.points.rows_in_cells((low - 2.0) * width, width, np.ones((high - low + 4.0).astype(int), dtype=bool))
     points = cloud.points.taken(near)
-    column = np.floor(points[:, :2] / width)  # one on, another may be alone now, and asks one further
-    sure = ((column >= low - 1.0) & (column < high + 1.0)).all(axis=1)
+    x, y = np.floor(points[:, :2] / width).T  # one on, another may be alone now, and asks one further
+    sure = (x >= low[0] - 1.0) & (x < high[0] + 1.0) & (y >= low[1] - 1.0) & (y < high[1] + 1.0)
     made = stray.copy()
     made[near[sure]] = find_strays(points, width)[sure]
     return made

@@ -71,8 +71,9 @@ def change_layers(
         if grid is None or (grid[0] != layers.origin).any() or grid[1] != layers.shape:
             raise WholeError
     cells = np.zeros(layers.shape, dtype=bool)
-    x, y = index[((index >= 0) & (index < shape)).all(axis=1)].astype(np.int64).T
-    cells[x, y] = True
+    x, y = index.astype(np.int64).T
+    inside = (x >= 0) & (x < shape[0]) & (y >= 0) & (y < shape[1])
+    cells[x[inside], y[inside]] = True
     cells = widened(cells, 1)  # a node's height asks those beside
     own = cloud.chosen(layers, cells, chosen)
     fresh = build_layers(own, width, layer_gap(width, config), like=layers) if len(own) else None

@@ -12,9 +12,9 @@ from scipy import ndimage
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.strides import SOLE, STRIDE
-from gpdf_service.tiles.boxes import highest_around, lowest_around, widened
+from gpdf_service.tiles.boxes import highest_around, lowest_around, widened, window
 from gpdf_service.tiles.layers import HALF
-from gpdf_service.tiles.surface import UNKNOWN, Cells, HeightMap, cell_of, rise_around
+from gpdf_service.tiles.surface import UNKNOWN, Cells, HeightMap, cell_of, cropped, rise_around
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 _LIMITS = PerceptionConfig()
@@ -170,6 +170,18 @@ def flights(surface: HeightMap, max_step: float, reach: float = STRIDE) -> BoolA
     known, rings = surface.state != UNKNOWN, rings_of(reach, surface.cell_width)
     low, high = (np.where(known, surface.height, none) for none in (np.inf, -np.inf))
     found: BoolArray = highest_around(high, rings) - lowest_around(low, rings) > max_step
+    return found
+
+
+def by_treads(touched: BoolArray, reach: int, grounds: tuple[HeightMap, HeightMap], strides: int) -> BoolArray:
+    """Cells within `reach` cells of the `touched` ones, (nx, ny), that ground is uneven around, now or before.
+
+    As far as footholds and treads are told, ground decides on nothing else: of a flight within so many `strides`.
+    """
+    found, length = widened(touched, reach), strides * STRIDE
+    box = window(found, rings_of(length, grounds[0].cell_width))
+    one, other = (flights(cropped(ground, box), ROUGH, length) for ground in grounds)
+    found[box] &= one | other
     return found
 
 

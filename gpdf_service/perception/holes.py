@@ -108,7 +108,8 @@ def fill_holes(
     height, state = grid.around("notches", notches_reach(surface, config), notched, *given)
     known = state != UNKNOWN
     close = near.distance <= MAX_HOLE_RADIUS
-    ends = seen_through | pit | _walled_down(surface, walls) | ~close | _near_hollow(surface, hollow)
+    (walled,) = grid.whole("walled down", lambda *_: (_walled_down(surface, walls),), walls, surface.state)
+    ends = seen_through | pit | walled | ~close | _near_hollow(surface, hollow)
     ends[[0, -1]] = ends[:, [0, -1]] = True
     held, at_floor = material
     height, state = _fill_planes(grid, ends, surface.cell_width, "open", (height, state), ~known & ~held, known)
@@ -189,7 +190,9 @@ def _near_hollow(surface: HeightMap, hollow: BoolArray) -> BoolArray:
         return firm
     for part in (firm[1:, 1:], firm[1:, :-1], firm[:-1, 1:], firm[:-1, :-1]):
         part |= square
-    near: BoolArray = (nearest_of(firm)[0] <= MAX_HOLE_RADIUS / surface.cell_width) & (surface.state == UNKNOWN)
+    near, reach = np.zeros_like(firm), MAX_HOLE_RADIUS / surface.cell_width
+    box = window(firm, int(reach))
+    near[box] = (nearest_of(firm[box])[0] <= reach) & (surface.state[box] == UNKNOWN)
     return near
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gpdf_service.denoise.cells import Cells, begin_sweep, runs_within, sort_into_cells
 from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.footing import footholds, footing_reach
+from gpdf_service.perception.footing import by_treads, footholds, footing_reach
 from gpdf_service.perception.smooth import RESOLVED_STEP
 from gpdf_service.tiles.boxes import WHOLE, Box, highest_around, lowest_around, widened
 from gpdf_service.tiles.columns import ends_of_runs, lowest_above
@@ -140,6 +140,11 @@ def ground_reach(surface: HeightMap) -> int:
 def ledge_reach(surface: HeightMap) -> int:
     """Cells within which the ground decides what is a ledge."""
     return max(HIGH, footing_reach(surface))
+
+
+def ledges_felt(touched: BoolArray, was: HeightMap, surface: HeightMap) -> BoolArray:
+    """Cells in which the ground may decide otherwise on ledges than before, where it is other in the `touched` ones."""
+    return widened(touched, HIGH) | by_treads(touched, ledge_reach(surface), (was, surface), 2)
 
 
 def face_reach(off: float) -> float:

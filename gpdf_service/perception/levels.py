@@ -27,7 +27,7 @@ from gpdf_service.perception.holes import (
     standing,
     without_enclosed,
 )
-from gpdf_service.perception.ledges import LEAST_OBSTACLE, find_ledges, ground_reach, ledge_reach
+from gpdf_service.perception.ledges import LEAST_OBSTACLE, find_ledges, ground_reach, ledge_reach, ledges_felt
 from gpdf_service.perception.limits import (
     GroundLimits,
     Measured,
@@ -373,7 +373,7 @@ def _make_level(site: _Site, sheet: BoolArray, part: Part, before: Made | None) 
     seen = sheet_surface(grid, site.layers, part, config.max_step, site.noise)
     if not grid.felt("seen", 0, *grid.known["seen"].given, points=True).any():
         return replace(was, touched=None)
-    near = nearest_seen(seen)
+    near = Nearest(*grid.whole("near", lambda *_: nearest_seen(seen), seen.height, seen.state))
     held = _find_others(site, sheet, seen, near, grid, was)
     grid = replace(grid, others=held.unlike)
     surface, measured, both = was.level.surface, was.level.measured, was.level.edges
@@ -389,7 +389,8 @@ def _make_level(site: _Site, sheet: BoolArray, part: Part, before: Made | None) 
         grid = replace(grid, known=was.grid.known | grid.known)
     other = changed(was.level.surface, surface)
     surface = surface if other.any() else was.level.surface  # versions share it
-    asked = widened(columns | widened(other, ledge_reach(surface)), ground_reach(surface)) | held.unlike
+    felt = columns | ledges_felt(other, was.level.surface, surface)
+    asked = widened(felt, ground_reach(surface)) | held.unlike
     ledge = _find_ledges_in(site, surface, held, asked)
     stepped = held.unlike | unlike_cells(asked, was.first, was.level.ledge[:, None], held.first, ledge[:, None])
     touched = widened(stepped | other, 1) | grid.other_answers("measured", "ridges", "edges")  # all that limits tell
@@ -520,7 +521,7 @@ def sheet_surface(grid: Grid, layers: Layers, part: Part, max_step: float, noise
 
     def answer(
         box: Box, height: NDArray[np.float32], pairs: NDArray[np.complex64]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]:
         off = np.ascontiguousarray(pairs)[..., None].view(np.float32)
         state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
         seen = replace(cropped(whole, box), height=height, state=state)
@@ -528,11 +529,12 @@ def sheet_surface(grid: Grid, layers: Layers, part: Part, max_step: float, noise
         if surface is not seen:  # a median's place is the middle of its cells
             off = np.where((surface.height != height)[..., None], np.float32(0.0), off)
         made = with_rims(to_centres(surface, off, noise), noise)
-        return bridged(made, max_step).height, made.height
+        height = bridged(made, max_step).height
+        return height, made.height, np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
 
     reach = max(whole.state.shape) if noise > 0.0 else 1 + footing_reach(whole)  # noise is smoothed further off
-    made, _ = grid.around("seen", reach, answer, height, pairs)
-    return replace(whole, height=made, state=np.where(np.isnan(made), UNKNOWN, OBSERVED).astype(np.uint8))
+    height, _, state = grid.around("seen", reach, answer, height, pairs)
+    return replace(whole, height=height, state=state)
 
 
 def without_outliers(surface: HeightMap, most: float) -> HeightMap:

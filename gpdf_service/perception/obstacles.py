@@ -10,11 +10,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_chunked, run_parallel
-from gpdf_service.perception.footing import ROUGH, footing_reach, is_tread, on_treads, rings_of
+from gpdf_service.perception.footing import ROUGH, by_treads, footing_reach, is_tread, on_treads, rings_of
 from gpdf_service.perception.ledges import FACE, LEAST_OBSTACLE, astray
 from gpdf_service.perception.levels import GroundLevel
 from gpdf_service.perception.limits import GroundLimits, ObstacleKind
 from gpdf_service.perception.strides import SOLE, STRIDE
+from gpdf_service.tiles.boxes import widened
 from gpdf_service.tiles.nearest import nearest_of
 from gpdf_service.tiles.points import Points
 from gpdf_service.tiles.rows import between, chosen_rows, under
@@ -84,10 +85,30 @@ def obstacles_reach(surface: HeightMap, agent: Agent) -> tuple[int, int]:
     A body stands within its radius of it where no material within its discs' radius shuts that off; that is told by
     the ground within the radius again, or as far as treads are told from ridges.
     """
+    body, shut, tread = _rings(surface, agent)
+    return shut + max(body, tread), shut
+
+
+def _rings(surface: HeightMap, agent: Agent) -> tuple[int, int, int]:
+    """Cells to where the body stands, to what shuts that off, and to the ground that tells a tread; see above."""
     width = surface.cell_width
     body = int(np.ceil(agent.cylinder.radius / width)) + 1
-    shut = body + int(np.ceil(agent.disc_radius / width))
-    return shut + max(body, footing_reach(surface) + rings_of(SOLE, width) + 1), shut
+    return body, body + int(np.ceil(agent.disc_radius / width)), footing_reach(surface) + rings_of(SOLE, width) + 1
+
+
+def obstacles_felt(touched: BoolArray, was: HeightMap, surface: HeightMap, agent: Agent) -> BoolArray:
+    """Cells in which a level may decide otherwise on obstacles than before, shape (nx, ny).
+
+    As far as ground tells of treads it decides only where there is some, now or before: see `is_tread`.
+
+    Args:
+        touched: Cells in which anything of the level is other.
+        was: The ground before.
+        surface: The ground.
+        agent: The body.
+    """
+    body, shut, tread = _rings(surface, agent)
+    return widened(touched, shut + body) | widened(by_treads(touched, tread, (was, surface), 1), shut)
 
 
 def _material(level: GroundLevel, agent: Agent, scan: Scan) -> BoolArray:

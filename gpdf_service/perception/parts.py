@@ -73,7 +73,8 @@ class Parts:
 
     def counts(self, name: str, *kinds: Strips) -> IntArray:
         """How many nodes of each of the `kinds` each part has, shape (kinds, parts + 1)."""
-        return np.pad(self.pieces.counts(f"{name} of {self.name}", *kinds), ((0, 0), (0, 1)))
+        counts = self.pieces.counts(f"{name} of {self.name}", *kinds)
+        return np.column_stack([counts, np.zeros(len(counts), np.int64)])
 
 
 def _share(held: IntArray, all_: IntArray) -> FloatArray:

@@ -12,7 +12,7 @@ from gpdf_service.config import FieldConfig, SearchConfig
 from gpdf_service.fields import Gpdf, Tree, build_tree, change_tree, thin
 from gpdf_service.fields.threads import run_beside, run_parallel
 from gpdf_service.perception import CLEAN, GroundLevel, Levels, Obstacles, Scan, Touched, obstacles_of
-from gpdf_service.perception.obstacles import obstacles_reach
+from gpdf_service.perception.obstacles import obstacles_felt, obstacles_reach
 from gpdf_service.search.free_space import (
     FreeSpace,
     LevelSpace,
@@ -88,14 +88,17 @@ def _change_level(
 ) -> LevelSpace:
     surface, agent, radius = level.surface, old.agent, old.radius
     reach, shut = obstacles_reach(surface, agent)
-    region = widened(touched, reach)
+    region = obstacles_felt(touched, was.surface, surface, agent)
     found = obstacles_of(_part(level, first, region, reach, shut), agent, scan, level.limits_in(region))
     inside, gone = rows_in_cells(found.points, *_grid(surface), region), rows_in_tree(was.tree, *_grid(surface), region)
     lost = was.tree.order[gone]
-    both = np.concatenate([_rows(was.obstacles, lost), _rows(found, inside)])
-    other = more_now(hashed(both), len(lost)) != 0
-    gone, inside, places = gone[other[: len(lost)]], inside[other[len(lost) :]], both[other, :2].copy()
+    key = [
+        hashed(each.points.view(np.uint64), each.kind, rows) for each, rows in ((was.obstacles, lost), (found, inside))
+    ]
+    other = more_now(np.concatenate(key), len(lost)) != 0
+    gone, inside = gone[other[: len(lost)]], inside[other[len(lost) :]]
     lost, fresh = np.sort(was.tree.order[gone]), found.points[inside]
+    places = np.concatenate([was.tree.points[gone], fresh[:, :2]])
     tree = _change_tree(was.tree, gone, lost, fresh[:, :2])
     obstacles = Obstacles(
         rows_spliced(was.obstacles.points, lost, fresh), rows_spliced(was.obstacles.kind, lost, found.kind[inside])
@@ -116,12 +119,6 @@ def _change_level(
 
     (quadtree, edges), obstacle_field = run_beside(leaves_and_edges, field)
     return replace(part, tree=tree, obstacle_field=obstacle_field.over(surface), quadtree=quadtree, edges=edges)
-
-
-def _rows(obstacles: Obstacles, rows: IntArray) -> FloatArray:
-    """Some obstacles as rows of x, y, z [m] and kind, shape (k, 4)."""
-    made: FloatArray = np.column_stack([obstacles.points[rows], obstacles.kind[rows]])
-    return made
 
 
 def _corner(tree: Tree) -> FloatArray:

@@ -199,6 +199,8 @@ def join_levels(
     edges = tuple(part.edges for part in parts)
     offsets, graph = connect(levels, quadtrees, edges, radius)
     surfaces = tuple(part.surface for part in parts)
+    former = zip(old[0].trees, old[0].exact_fields, strict=True) if old else ()
+    exact = {id(tree.standing): field for tree, field in former}
     area = sum(np.count_nonzero(surface.state != UNKNOWN) * surface.cell_width**2 for surface in surfaces)
     return FreeSpace(
         agent,
@@ -212,7 +214,7 @@ def join_levels(
         tuple(part.obstacles for part in parts),
         (NONE,) * len(parts),
         tuple(Places(part.tree) for part in parts),
-        tuple(NearerArrays(nearest_only(part.tree), EMPTY) for part in parts),
+        tuple(exact.get(id(part.tree)) or NearerArrays(nearest_only(part.tree), EMPTY) for part in parts),
         tuple(Nearer(part.obstacle_field) for part in parts),
         quadtrees,
         edges,

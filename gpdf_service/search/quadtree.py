@@ -7,6 +7,7 @@ d − b ≥ r: all of the leaf is free; d + b < r: none of it; else split, down 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import sqrt
 
 import numpy as np
@@ -26,7 +27,7 @@ CELL_SHARE = 0.2
 """[-] Of a cell of the ground, which is wider than its points are apart: what is finer was not measured."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Quadtree:
     """The leaves, in Morton order; together they tile the root square.
 
@@ -50,13 +51,13 @@ class Quadtree:
     whole: BoolArray
     code: IntArray
 
-    @property
+    @cached_property
     def center(self) -> FloatArray:
         """Centres of the leaves [m], shape (k, 2)."""
         made: FloatArray = _centers(self.origin, self.width, self.corner, self.size)
         return made
 
-    @property
+    @cached_property
     def half_size(self) -> FloatArray:
         """Half the width of each leaf [m], shape (k,)."""
         made: FloatArray = (0.5 * self.width * self.size).astype(np.float64)

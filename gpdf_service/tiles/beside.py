@@ -9,12 +9,13 @@ strip, by the pairs that go on into the next one, and by a graph of these pieces
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from itertools import pairwise
+from functools import cached_property, lru_cache
+from itertools import compress, count, pairwise
 from math import ceil
-from operator import is_
+from operator import is_, is_not
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,10 +39,14 @@ Spans = Sequence[slice]
 
 
 class Told(NamedTuple):
-    """What a question was told: what is `given` for the strips, and what was `made` of it for each of them."""
+    """What a question was told: what is `given` for the strips, and what was `made` of it for each of them.
+
+    At last the same by `kinds`, each for all strips: the very objects of the version before where nothing is other.
+    """
 
     given: tuple[Sequence[object], ...]
     made: list[Answer]
+    kinds: tuple[Strips, ...]
 
 
 _Ends = tuple[int, int, int, int]
@@ -50,7 +55,7 @@ Other = tuple[object, object, _Ends]
 """What is told now, what was in the version before, and where it is other."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Beside:
     """Nodes in strips, and what was asked of them.
 
@@ -70,10 +75,10 @@ class Beside:
     was: IntArray
     others: dict[int, Other]
 
-    @property
+    @cached_property
     def first(self) -> IntArray:
         """First node of each strip, and how many there are, shape (strips + 1,)."""
-        begin: IntArray = self.layers.start[self._cells()]
+        begin: IntArray = self.layers.start[self._cells]
         return begin
 
     def rows(self, strip: int) -> slice:
@@ -99,7 +104,7 @@ class Beside:
             part, asked, _, told = self._part(box, reach, given)
             made = answer(part, asked, *told)
             if was is None:
-                return [tuple(values[a:b] for values in made) for a, b in pairwise(self.first)]
+                return [tuple(values[a:b] for values in made) for a, b in pairwise(self.first.tolist())]
             before = zip(*was.made[begin:end], strict=True)
             own = [self._spliced(begin, box, new[asked], old) for new, old in zip(made, before, strict=True)]
             return list(zip(*own, strict=True))
@@ -117,7 +122,7 @@ class Beside:
     ) -> tuple[IntArray, IntArray]:
         """Pairs of nodes that a question is told, of each of which the first node decides; see `around`."""
         was, ny, spans = self.former.get(name), self.layers.shape[1], spans_of(len(self.nodes), ceil(reach / ROWS))
-        start, cells = self.layers.start, self._cells()
+        start, cells = self.layers.start, self._cells
 
         def make(begin: int, end: int) -> list[Answer]:
             box = self._window(given, was, slice(begin, end), reach)
@@ -133,7 +138,7 @@ class Beside:
             stay = [each[~_within(each[:, 0], ny, box)] for (each,) in was.made[begin:end]]
             return [(np.concatenate(both),) for both in zip(stay, made, strict=True)]
 
-        pairs = flat([each for (each,) in self.told(name, given, make, spans)])
+        pairs = flat(self.told(name, given, make, spans)[0])
         return start[pairs[:, 0]] + pairs[:, 2], start[pairs[:, 1]] + pairs[:, 3]
 
     def few(
@@ -176,7 +181,7 @@ class Beside:
 
             return each_strip(one, begin, end)
 
-        return flat([each for (each,) in self.told(name, (asked, *held, *given), make, spans)])
+        return flat(self.told(name, (asked, *held, *given), make, spans)[0])
 
     def where(self, name: str, kind: Strips, *given: Strips) -> tuple[NDArray[Any], ...]:
         """The numbers of the nodes that are of a `kind`, shape (m,), and what is given for them."""
@@ -186,18 +191,19 @@ class Beside:
             rows = [np.flatnonzero(kind[i]) for i in range(begin, end)]
             return [(row, *(each[begin + i][row] for each in given)) for i, row in enumerate(rows)]
 
-        rows, *told = zip(*self.told(f"{name}, where", (kind, *given), make), strict=True)
+        rows, *told = self.told(f"{name}, where", (kind, *given), make)
         return np.concatenate([row + begin for row, begin in zip(rows, first, strict=False)]), *map(flat, told)
 
     def same(self, name: str, own: Sequence[NDArray[Any]]) -> Strips:
         """An array of each strip, and the one that was told before where it is the same."""
-        was, made = self.former.get(name), list[Answer]((each,) for each in own)
-        self.known[name] = Told((), made if was is None else list(map(self._as_it_was, made, was.made)))
-        return tuple(each for (each,) in self.known[name].made)
+        if (was := self.former.get(name)) is None:
+            return self._keep(name, (), [(each,) for each in own])[0]
+        pairs = zip(own, was.made, strict=True)
+        return self._keep(name, (), [old if _alike(each, old[0]) else (each,) for each, old in pairs])[0]
 
     def given(self, name: str, values: NDArray[Any]) -> Strips:
         """The values of all nodes, shape (k,), by strips; nobody writes over them."""
-        strips = self.same(name, [values[a:b] for a, b in pairwise(self.first)])
+        strips = self.same(name, [values[a:b] for a, b in pairwise(self.first.tolist())])
         self._note(name)
         return strips
 
@@ -207,8 +213,8 @@ class Beside:
         given: tuple[Strips, ...],
         make: Callable[[int, int], list[Answer]],
         spans: Spans | None = None,
-    ) -> list[Answer]:
-        """The answer to a question for each strip.
+    ) -> tuple[Strips, ...]:
+        """The answers to a question, each for all strips.
 
         Args:
             name: Of the question.
@@ -219,13 +225,20 @@ class Beside:
         """
         was, of = self.former.get(name), (self.nodes, *given)
         if was is None:
-            self.known[name] = Told(of, make(0, len(self.nodes)))
-            return self.known[name].made
+            return self._keep(name, of, make(0, len(self.nodes)))
         found = was.made.copy()
         for begin, end in _runs(_asked(of, was.given, spans)):
             found[begin:end] = map(self._as_it_was, make(begin, end), found[begin:end])
-        self.known[name] = Told(of, found)
-        return found
+        return self._keep(name, of, found)
+
+    def _keep(self, name: str, given: tuple[Sequence[object], ...], made: list[Answer]) -> tuple[Strips, ...]:
+        """Remember what a question was told."""
+        was = self.former.get(name)
+        if was is not None and all(map(is_, made, was.made)):
+            self.known[name] = was._replace(given=given)
+        else:
+            self.known[name] = Told(given, made, tuple(zip(*made, strict=True)))
+        return self.known[name].kinds
 
     def strips_of(self, points: FloatArray) -> tuple[int, int]:
         """The first strip and behind the last that hold points (n, 3) [m]; one strip for none."""
@@ -250,6 +263,7 @@ class Beside:
         """The same without the version before."""
         return Beside(self.layers, self.nodes, self.known, {}, self.layers.start, {})
 
+    @cached_property
     def _cells(self) -> IntArray:
         """First cell of each strip, and how many there are."""
         (nx, ny), rows = self.layers.shape, ROWS * np.arange(len(self.nodes) + 1)
@@ -265,12 +279,12 @@ class Beside:
         """`told` of what is told of each node, and into `others` where that is other than before."""
         found = self.told(name, given, make, spans)
         self._note(name)
-        return tuple(zip(*found, strict=True))
+        return found
 
     def _note(self, name: str) -> None:
         """Write into `others` where a question was told otherwise of nodes than before."""
-        (nx, ny), was = self.layers.shape, self.former.get(name)
-        for i, (found, before) in enumerate(zip(self.known[name].made, was.made, strict=True) if was else ()):
+        (nx, ny), made, was = self.layers.shape, self.known[name].made, self.former.get(name)
+        for i, (found, before) in enumerate(zip(made, was.made, strict=True) if was and was.made is not made else ()):
             for now, old in zip(found, before, strict=True) if found is not before else ():
                 if now is not old and not self._is_other(now, old):
                     self.others[id(now)] = now, old, self._unlike(i, now, old, (0, nx, 0, ny))[0]
@@ -281,7 +295,7 @@ class Beside:
 
     def _unlike(self, strip: int, fresh: NDArray[Any], old: NDArray[Any], box: _Ends) -> tuple[_Ends, int]:
         """Where in a box nodes of a strip are told otherwise than before, and how many are in it: see `box_unlike`."""
-        cells, ny = self._cells()[strip : strip + 2], self.layers.shape[1]
+        cells, ny = self._cells[strip : strip + 2], self.layers.shape[1]
         told = old.view(f"u{old.itemsize}"), fresh.view(f"u{fresh.itemsize}")
         where, count = box_unlike(*told, self.was, self.layers.start, (cells[0], cells[1]), ny, box)
         return where, count
@@ -330,7 +344,7 @@ class Beside:
 
         Where that is other than before is written into `others`.
         """
-        cells, start, ny, used, made = self._cells(), self.layers.start, self.layers.shape[1], 0, []
+        cells, start, ny, used, made = self._cells, self.layers.start, self.layers.shape[1], 0, []
         ends = box[0].start, box[0].stop, box[1].start, box[1].stop
         for i, old in enumerate(before, begin):
             values, (where, count) = old, self._unlike(i, fresh[used:], old, ends)
@@ -368,11 +382,12 @@ def spans_of(size: int, before: int, behind: int | None = None) -> Spans:
 
 def _asked(now: tuple[Sequence[object], ...], was: tuple[Sequence[object], ...], spans: Spans | None) -> list[int]:
     """Strips for which something else is given than before."""
-    pairs = (zip(ours, theirs, strict=True) for ours, theirs in zip(now, was, strict=True) if ours is not theirs)
-    other = sorted({i for both in pairs for i, (one, another) in enumerate(both) if one is not another})
+    pairs = ((ours, theirs) for ours, theirs in zip(now, was, strict=True) if ours is not theirs)
+    other = sorted({i for ours, theirs in pairs for i in compress(count(), map(is_not, ours, theirs))})
     if spans is None or not other:
         return other
-    return [i for i, span in enumerate(spans) if any(span.start <= k < span.stop for k in other)]
+    ends = [*other, len(spans)]
+    return [i for i, span in enumerate(spans) if ends[bisect_left(other, span.start)] < span.stop]
 
 
 def _runs(asked: list[int]) -> list[tuple[int, int]]:

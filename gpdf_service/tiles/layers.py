@@ -198,13 +198,17 @@ class Layers:
 
     def rows(self, low: int, high: int) -> Layers:
         """The layers of some rows of cells, in views: no strips of them are asked, as they begin anywhere in one."""
-        ny, start = self.shape[1], self.start
-        a, b = int(start[low * ny]), int(start[high * ny])
-        strips = ((own, max(a - first, 0), b - first) for own, first, _ in self.strips(low, high))
-        rest = tuple(Rest(*(each[begin:end] for each in own)) for own, begin, end in strips)
-        told = self.cell[a:b] - low * ny, self.height[a:b], self.thickness[a:b], start[low * ny : high * ny + 1] - a
+        own, (a, b) = self.columns_in(low, high), self.start[[low * self.shape[1], high * self.shape[1]]].tolist()
+        strips = ((each, max(a - first, 0), b - first) for each, first, _ in self.strips(low, high))
+        rest = tuple(Rest(*(each[begin:end] for each in told)) for told, begin, end in strips)
         origin = self.origin + self.cell_width * np.array([low, 0])
-        return Layers(origin, self.cell_width, (high - low, ny), *told, rest)
+        return Layers(origin, self.cell_width, own.shape, own.cell, own.height, own.thickness, own.start, rest)
+
+    def columns_in(self, low: int, high: int) -> Columns:
+        """The layers of some rows of cells for compiled loops."""
+        ny, start = self.shape[1], self.start[low * self.shape[1] : high * self.shape[1] + 1]
+        a, b = int(start[0]), int(start[-1])
+        return Columns(self.cell[a:b] - low * ny, start - a, (high - low, ny), self.height[a:b], self.thickness[a:b])
 
     def taken(self, nodes: IntArray) -> Rest:
         """The rest of some nodes, whose numbers ascend."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.tiles.pairs import AROUND, Columns
+from gpdf_service.tiles.pairs import AROUND, FAR, Columns
 from gpdf_service.tiles.rows import INDEX
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -51,6 +53,14 @@ def numbered(parent: IntArray) -> IntArray:
         else:
             label[i] = label[parent[i]]
     return label
+
+
+@njit(cache=True, nogil=True)
+def add_rows(values: NDArray[Any], to: IntArray, made: NDArray[Any]) -> None:
+    """Add each row of the values (n, d) `to` a row of what is made (m, d)."""
+    for i in range(len(values)):
+        for k in range(values.shape[1]):
+            made[to[i], k] += values[i, k]
 
 
 @njit(cache=True, nogil=True)
@@ -369,10 +379,6 @@ def count_labels(label: IntArray, among: BoolArray, labels: int) -> IntArray:
     return made
 
 
-_FAR = tuple(float(np.hypot(*offset)) for offset in AROUND)
-"""How many cells those around are away."""
-
-
 @njit(cache=True, nogil=True)
 def pieces_of(columns: Columns, inner: BoolArray, rise: float, step: float) -> tuple[IntArray, IntArray]:
     """Which `inner` nodes are joined where there is at most `rise` [m] a cell and a `step` [m] between them.
@@ -381,16 +387,17 @@ def pieces_of(columns: Columns, inner: BoolArray, rise: float, step: float) -> t
     """
     cell, start, (nx, ny), height, _ = columns
     root, label, used = np.arange(len(cell)).astype(INDEX), np.empty(len(cell), INDEX), 0
-    for x in range(nx):
-        for y in range(ny):
-            for i in range(start[x * ny + y], start[x * ny + y + 1]):
-                for k in range(4, 8 if inner[i] else 4):  # half of those around: each pair once
-                    u, v = x + AROUND[k][0], y + AROUND[k][1]
-                    if u < nx and 0 <= v < ny:
-                        most = rise * _FAR[k] + step
-                        for j in range(start[u * ny + v], start[u * ny + v + 1]):
-                            if inner[j] and abs(height[i] - height[j]) <= most:
-                                _unite(root, i, j)
+    for i in range(len(cell)):
+        if not inner[i]:
+            continue
+        x, y = divmod(cell[i], ny)
+        for k in range(4, 8):  # half of those around: each pair once
+            u, v = x + AROUND[k][0], y + AROUND[k][1]
+            if u < nx and 0 <= v < ny:
+                most = rise * FAR[k] + step
+                for j in range(start[u * ny + v], start[u * ny + v + 1]):
+                    if inner[j] and abs(height[i] - height[j]) <= most:
+                        _unite(root, i, j)
     for i in range(len(cell)):
         if inner[i]:
             label[i] = used if root[i] == i else label[root[i]]
@@ -457,7 +464,7 @@ def joined_to(columns: Columns, among: BoolArray, others: BoolArray, rise: float
         for k in range(8):
             u, v = x + AROUND[k][0], y + AROUND[k][1]
             if 0 <= u < nx and 0 <= v < ny:
-                there, most = u * ny + v, rise * _FAR[k] + step
+                there, most = u * ny + v, rise * FAR[k] + step
                 for i in range(start[there], start[there + 1]):
                     found[i] |= among[i] and abs(height[i] - height[j]) <= most
     return found

@@ -13,6 +13,8 @@ from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 """The eight cells around one."""
+FAR = tuple(float(np.hypot(*offset)) for offset in AROUND)
+"""How many cells they are away."""
 
 
 class Columns(NamedTuple):
@@ -129,11 +131,11 @@ def pairs_around(
     for n in range(len(nodes)):
         i = nodes[n]
         x, y = divmod(cell[i], ny)
-        for u in range(max(x - 1, 0), min(x + 2, nx)):
-            for v in range(max(y - 1, 0), min(y + 2, ny)):
-                there, most = u * ny + v, slope * np.hypot(u - x, v - y) + step
-                for j in range(start[there], start[there + 1]):
-                    if keep[j] and there != cell[i] and abs(height[i] - height[j]) <= most:
+        for k in range(8):
+            u, v, most = x + AROUND[k][0], y + AROUND[k][1], slope * FAR[k] + step
+            if 0 <= u < nx and 0 <= v < ny:
+                for j in range(start[u * ny + v], start[u * ny + v + 1]):
+                    if keep[j] and abs(height[i] - height[j]) <= most:
                         one.append(n)
                         other.append(j)
     return np.array(one, np.int64), np.array(other, np.int64)

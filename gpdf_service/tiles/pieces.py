@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_service.tiles.beside import Answer, Beside, Strips, each_strip, spans_of
-from gpdf_service.tiles.nodes import components, count_labels, extents_of, pairs_on, pieces_of, plan_sums
+from gpdf_service.tiles.layers import flat
+from gpdf_service.tiles.nodes import add_rows, components, count_labels, extents_of, pairs_on, pieces_of, plan_sums
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 
@@ -49,12 +51,12 @@ class Pieces:
         return piece
 
     def totals(self, name: str, add: Callable[..., NDArray[Any]], *given: Strips) -> NDArray[Any]:
-        """Sums over the nodes of each piece, shape (pieces, …).
+        """Sums over the nodes of each piece, shape (pieces, d).
 
         Args:
             name: Of the question.
             add: Called with rows of the nodes of a strip among all, their labels, how many labels there are with that
-                of none, and what is given for them. Returns a sum for each label, shape (labels, …).
+                of none, and what is given for them. Returns sums for each label, shape (labels, d).
             given: For each node.
         """
         first = self.near.first
@@ -66,9 +68,9 @@ class Pieces:
 
             return each_strip(one, begin, end)
 
-        parts = [each for (each,) in self.near.told(f"{name}, totals", (self.label, *given), make)]
-        made = np.zeros((self.count + 1, *parts[0].shape[1:]), parts[0].dtype)
-        np.add.at(made, self.number, np.concatenate(parts))
+        sums = np.concatenate(self.near.told(f"{name}, totals", (self.label, *given), make)[0])
+        made = np.zeros((self.count + 1, sums.shape[1]), sums.dtype)
+        add_rows(sums, self.number, made)
         return made[:-1]
 
     def counts(self, name: str, *kinds: Strips) -> IntArray:
@@ -87,7 +89,7 @@ class Pieces:
     def chosen(self, name: str, which: NDArray[Any]) -> Strips:
         """What is told of its piece for each node, by `which`, shape (pieces,): 0, or false, for a node of none."""
         told = np.append(which[: self.count], which.dtype.type(0))[self.number]
-        own = self.near.same(f"{name}, which", np.split(told, self.first[1:-1]))
+        own = self.near.same(f"{name}, which", [told[a:b] for a, b in pairwise(self.first.tolist())])
 
         def make(begin: int, end: int) -> list[Answer]:
             return [(own[i][self.label[i]],) for i in range(begin, end)]
@@ -107,7 +109,8 @@ def find_pieces(near: Beside, name: str, inner: Strips, rise: float, step: float
 
     def make(begin: int, end: int) -> list[Answer]:
         def one(i: int) -> Answer:
-            return pieces_of(near.strips(i, i + 1).columns, inner[i], rise, step)
+            rows = near.rows(i)
+            return pieces_of(near.layers.columns_in(rows.start, rows.stop), inner[i], rise, step)
 
         return each_strip(one, begin, end)
 
@@ -115,21 +118,23 @@ def find_pieces(near: Beside, name: str, inner: Strips, rise: float, step: float
         def one(i: int) -> Answer:
             if i + 1 == len(near.nodes):
                 return (np.zeros((0, 2), np.int64),)
-            ends = label[i : i + 2], (first[i], first[i + 1]), (len(starts[i]), len(starts[i + 1]))
+            ends = (label[i], label[i + 1]), (first[i], first[i + 1]), (len(starts[i]), len(starts[i + 1]))
             return (pairs_on(near.layers.columns, near.rows(i).stop - 1, *ends, rise, step),)
 
         return each_strip(one, begin, end)
 
-    label, starts = zip(*near.told(f"{name}, pieces", (inner,), make), strict=True)
-    pairs = [each for (each,) in near.told(f"{name}, seams", (label,), join, spans_of(len(label), 0, 1))]
-    begin = np.concatenate([[0], np.cumsum([len(each) + 1 for each in starts])])  # one of a strip for none
-    a, b = np.concatenate([each + begin[i : i + 2] for i, each in enumerate(pairs)]).T
+    label, starts = near.told(f"{name}, pieces", (inner,), make)
+    (pairs,) = near.told(f"{name}, seams", (label,), join, spans_of(len(label), 0, 1))
+    counts, joins = [np.array([len(each) for each in strips]) for strips in (starts, pairs)]
+    begin = np.concatenate([[0], np.cumsum(counts + 1)])  # one of a strip for none
+    a, b = (flat(pairs) + np.repeat(np.column_stack([begin[:-1], begin[1:]]), joins, axis=0)).T
     own = np.ones(begin[-1], dtype=bool)
     own[begin[1:] - 1] = False
     found = components(a, b, own)[own]
-    held, number = np.unique(found, return_inverse=True)
-    nodes, labels = np.empty(len(held), np.int64), np.full(begin[-1], len(held))
-    nodes[number[::-1]] = np.concatenate([each + first[i] for i, each in enumerate(starts)])[::-1]  # the last stays
+    number = (np.cumsum(np.bincount(found) > 0) - 1)[found]
+    count = int(number.max(initial=-1)) + 1
+    nodes, labels = np.empty(count, np.int64), np.full(begin[-1], count)
+    nodes[number[::-1]] = (flat(starts) + np.repeat(first[:-1], counts))[::-1]  # the last stays
     labels[own] = number
     return Pieces(near, label, begin, labels, nodes)
 

@@ -20,10 +20,21 @@ _BLOCK = 4096
 """Rows for which room is made at once: what is found is few, and memory that nobody touches costs nothing."""
 
 
-def hashed(rows: FloatArray) -> NDArray[np.uint64]:
-    """One number for each row of up to four columns, shape (n,): the same for the same row."""
-    mixed = (rows.view(np.uint64) * _MIX[: rows.shape[1]]).sum(axis=1, dtype=np.uint64)
-    made: NDArray[np.uint64] = mixed ^ (mixed >> np.uint64(29))
+@njit(cache=True, nogil=True)
+def hashed(points: NDArray[np.uint64], kind: NDArray[np.uint8], rows: IntArray) -> NDArray[np.uint64]:
+    """One number for each of some rows, shape (m,): the same for the same point and kind.
+
+    Args:
+        points: The bits of their coordinates, shape (n, 3).
+        kind: Shape (n,).
+        rows: Shape (m,).
+    """
+    made = np.empty(len(rows), np.uint64)
+    for i in range(len(rows)):
+        mixed = np.uint64(kind[rows[i]]) * _MIX[3]
+        for k in range(3):
+            mixed += points[rows[i], k] * _MIX[k]
+        made[i] = mixed ^ (mixed >> np.uint64(29))
     return made
 
 
@@ -65,12 +76,20 @@ def rows_in_cells(points: FloatArray, origin: FloatArray, cell_width: float, wan
     return found[:used]
 
 
+@njit(cache=True, nogil=True)
 def rows_by_cell(wanted: BoolArray, start: IntArray) -> IntArray:
     """Rows of the points in the `wanted` cells, shape (nx, ny), of points by cell, where each begins at its `start`."""
-    cells = np.flatnonzero(wanted)
-    count = start[cells + 1] - start[cells]
-    before = np.concatenate([[0], np.cumsum(count)])
-    return np.repeat(start[cells] - before[:-1], count) + np.arange(before[-1])
+    (nx, ny), count, used = wanted.shape, 0, 0
+    for x in range(nx):
+        for y in range(ny):
+            count += start[x * ny + y + 1] - start[x * ny + y] if wanted[x, y] else 0
+    made = np.empty(count, np.int64)
+    for x in range(nx):
+        for y in range(ny):
+            for row in range(start[x * ny + y], start[x * ny + y + 1] if wanted[x, y] else 0):
+                made[used] = row
+                used += 1
+    return made
 
 
 @njit(cache=True, nogil=True)

@@ -6,10 +6,11 @@ from itertools import product
 import numpy as np
 import pytest
 
-from gpdf_service.perception.footing import is_tread, on_treads
+from gpdf_service.perception import footing
+from gpdf_service.perception.footing import by_treads, footholds, footing_reach, is_tread, on_treads, rings_of
 from gpdf_service.perception.levels import GroundLevel
 from gpdf_service.perception.limits import ObstacleKind
-from gpdf_service.perception.obstacles import Scan, are_voxels, obstacles_of, obstacles_reach
+from gpdf_service.perception.obstacles import Scan, are_voxels, obstacles_felt, obstacles_of, obstacles_reach
 from gpdf_service.tiles.boxes import widened
 from gpdf_service.tiles.points import points_of
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, cropped
@@ -178,6 +179,43 @@ def test_obstacles_in_a_region_are_told_by_what_is_in_their_reach(kind, body):
     np.testing.assert_array_equal(here(part), here(whole))
     assert len(here(whole)) > 10
     assert part.surface.state.size < surface.state.size
+
+
+@pytest.mark.parametrize("body", BODIES, ids=lambda body: body.name)
+@pytest.mark.parametrize("kind", ["floor", "step", "stair", "ramp"])
+def test_other_ground_makes_obstacles_others_only_where_they_are_felt(kind, body):
+    rng, shape, scan = np.random.default_rng(6), (150, 140), Scan(0.0, 0.02, False)
+    was, touched = ground(kind, shape, 0.06, rng), np.zeros(shape, dtype=bool)
+    level, count = level_of(was, rng, 60_000), 0
+    touched[70:74, 70:73] = True
+    for rise in (-0.3, 0.08, 0.3):
+        now = dataclasses.replace(was, height=np.where(touched, was.height + np.float32(rise), was.height))
+        both = [obstacles_of(dataclasses.replace(level, surface=each), body, scan) for each in (was, now)]
+        told = [set(map(tuple, found.points[found.kind == ObstacleKind.MATERIAL])) for found in both]
+        felt = obstacles_felt(touched, was, now, body)
+        others = np.array(sorted(told[0] ^ told[1])).reshape(-1, 3)
+        ix, iy, _ = was.cells(others)
+        assert felt[ix, iy].all()
+        count += len(others)
+    assert count > 0
+    assert not felt.all()
+
+
+@pytest.mark.parametrize("kind", ["step", "stair", "ramp"])
+def test_other_ground_tells_of_treads_and_footholds_only_around_what_is_uneven(kind):
+    rng, shape, step, beyond = np.random.default_rng(7), (150, 140), AGENTS["human"].max_step, 0
+    was, cell = ground(kind, shape, 0.06, rng), np.arange(shape[0] * shape[1])
+    for place in range(20, 120, 9):
+        touched = np.zeros(shape, dtype=bool)
+        touched[place : place + 12, 60:64] = True
+        now = dataclasses.replace(was, height=np.where(touched, was.height - np.float32(0.35), was.height))
+        z, reach = was.height.ravel() + rng.uniform(0.0, 0.2, len(cell)), footing_reach(was)
+        treads = np.not_equal(*(footing.on_treads(z, cell, each, step) for each in (was, now))).reshape(shape)
+        rests = np.not_equal(*(footholds(each, step) for each in (was, now)))
+        assert by_treads(touched, reach + rings_of(SOLE, 0.06) + 1, (was, now), 1)[treads & ~touched].all()
+        assert by_treads(touched, reach, (was, now), 2)[rests & ~touched].all()
+        beyond += np.count_nonzero((treads | rests) & ~widened(touched, 2))
+    assert beyond > 0
 
 
 TRUCK = dataclasses.replace(AGENTS["human"], name="truck", width=2.5, length=2.5)

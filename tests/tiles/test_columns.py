@@ -48,7 +48,7 @@ def test_cells_boxes_and_bounds_are_those_of_numpy(points):
     np.testing.assert_array_equal(chosen_rows(points, chosen, points[:5]), np.concatenate([points[chosen], points[:5]]))
     wanted = np.random.default_rng(1).random(SHAPE[0] * SHAPE[1]) < 0.2
     start, order = by_cell(cell, wanted.size)
-    rows = np.sort(order[rows_by_cell(wanted, start)])
+    rows = np.sort(order[rows_by_cell(wanted.reshape(SHAPE), start)])
     np.testing.assert_array_equal(rows, np.flatnonzero(wanted[cell]))
     np.testing.assert_array_equal(rows_in_cells(points, CORNER, WIDTH, wanted.reshape(SHAPE)), rows)
     assert len(rows_in_cells(points, CORNER, WIDTH, np.zeros(SHAPE, dtype=bool))) == 0

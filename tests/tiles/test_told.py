@@ -73,6 +73,22 @@ def test_a_hole_is_filled_as_before_where_changes_on_all_sides_do_not_touch_it()
     assert (ours.state[100:110, 100:110] == INFERRED).all()
 
 
+def test_what_asks_all_cells_is_asked_again_where_it_is_given_another_object():
+    asked, one = [], np.zeros((3, 3))
+
+    def answer(given):
+        asked.append(given)
+        return (given + 1.0,)
+
+    grid = new_grid((3, 3))
+    made = grid.whole("all", answer, one)
+    now = grid.lasting().now(grid.others)
+    assert now.whole("all", answer, one) is made
+    assert now.known == grid.known
+    assert now.lasting().now(grid.others).whole("all", answer, one + 1.0)[0].tolist() == [[2.0] * 3] * 3
+    assert len(asked) == 2
+
+
 def test_boxes_hold_all_cells_and_one_is_taken_where_several_would_overlap_more():
     cells = np.zeros((300, 300), dtype=bool)
     cells[120:136, 120:136] = True  # over the corners of tiles, from the first cell on
