@@ -49,6 +49,20 @@ class Cells(NamedTuple):
     strides: IntArray
 
 
+class Some(NamedTuple):
+    """Some of the cells, which sweeps pass over without the rest.
+
+    Attributes:
+        cell: Which they are, ascending, shape (k,).
+        key: Number of each, shape (k,).
+        middle: Centre of each from the corner [m], shape (k, 3).
+    """
+
+    cell: IntArray
+    key: IntArray
+    middle: FloatArray
+
+
 def sort_into_cells(points: FloatArray, width: float) -> Cells:
     """Points, shape (n, 3) [m], in cells of at least `width` [m]."""
     lowest, highest = corners_of(points)
@@ -121,11 +135,17 @@ def begin_sweep(cells: Cells, first: int, rings: int = 1) -> IntArray:
 
     And by how much the number of the lowest cell in such a column exceeds that of the cell itself.
     """
+    return begin_among(cells.key, cells, first, rings)
+
+
+@njit(cache=True, nogil=True)
+def begin_among(key: IntArray, cells: Cells, first: int, rings: int) -> IntArray:
+    """`begin_sweep` of some of the cells, whose numbers are `key`."""
     at = np.empty((2, (2 * rings + 1) ** 2), np.int64)
     for j in range(at.shape[1]):
         x, y = divmod(j, 2 * rings + 1)
         at[1, j] = (x - rings) * cells.strides[0] + (y - rings) * cells.strides[1] - rings
-        at[0, j] = np.searchsorted(cells.key, cells.key[first] + at[1, j])
+        at[0, j] = np.searchsorted(key, cells.key[first] + at[1, j])
     return at
 
 
@@ -141,7 +161,7 @@ def look_around(cells: Cells, c: int, at: IntArray, near: IntArray) -> None:
     """
     key, m = cells.key, len(cells.key)
     for j in range(9):
-        p = _begin_of(cells, c, at, j)
+        p = _begin_of(key, key[c], at, j)
         for k in range(3):
             there = p < m and key[p] == key[c] + at[1, j] + k
             near[3 * j + k] = p if there else -1
@@ -258,15 +278,23 @@ def _around_range(cells: Cells, asked: BoolArray, begin: int, end: int, found: B
                     found[j] = True
 
 
-@lean()
-def cells_within(cells: Cells, c: int, rings: int, at: IntArray, beside: IntArray) -> int:
-    """Write the cells at most `rings` off cell c, which is no less than in the call before; how many.
+def some_of(cells: Cells, which: BoolArray) -> Some:
+    """The cells that `which` says, shape (m,)."""
+    cell = np.flatnonzero(which)
+    key = cells.key[cell]
+    x, rest = np.divmod(key, cells.strides[0])
+    return Some(cell, key, (np.column_stack([x, *np.divmod(rest, cells.strides[1])]) + 0.5) * cells.width)
 
-    The sweep goes on from `at`, of `begin_sweep` with as many rings.
+
+@lean()
+def some_within(some: Some, key: int, rings: int, at: IntArray, beside: IntArray) -> int:
+    """Write which of some cells are at most `rings` off that of a `key`, no less than in the call before; how many.
+
+    The sweep goes on from `at`, of `begin_among` with as many rings.
     """
     found = 0
     for column in range(at.shape[1]):
-        first, last = _go_on(cells, c, 2 * rings, at, column)
+        first, last = _go_on(some.key, key, 2 * rings, at, column)
         for j in range(first, last):
             beside[found] = j
             found += 1
@@ -275,10 +303,13 @@ def cells_within(cells: Cells, c: int, rings: int, at: IntArray, beside: IntArra
 
 @lean()
 def runs_within(cells: Cells, c: int, rings: int, at: IntArray, runs: IntArray) -> int:
-    """As `cells_within`, but write where the places of a column's cells begin and end, shape (…, 2)."""
+    """Write where the places of the cells at most `rings` off cell c begin and end, column by column; how many are any.
+
+    Cell c is no less than in the call before; the sweep goes on from `at`, of `begin_sweep` with as many rings.
+    """
     found = 0
     for column in range(at.shape[1]):
-        first, last = _go_on(cells, c, 2 * rings, at, column)
+        first, last = _go_on(cells.key, cells.key[c], 2 * rings, at, column)
         runs[found, 0], runs[found, 1] = cells.begin[first], cells.begin[last]
         found += first < last
     return found
@@ -294,22 +325,22 @@ def count_in(runs: IntArray) -> int:
 
 
 @lean()
-def _go_on(cells: Cells, c: int, high: int, at: IntArray, column: int) -> tuple[int, int]:
-    """Where a column around cell c begins, and ends `high` cells over its lowest one."""
-    key, m, first = cells.key, len(cells.key), _begin_of(cells, c, at, column)
-    last, highest = first, key[c] + at[1, column] + high
+def _go_on(key: IntArray, own: int, high: int, at: IntArray, column: int) -> tuple[int, int]:
+    """Where a column around the cell numbered `own` begins, and ends `high` cells over its lowest one."""
+    first = _begin_of(key, own, at, column)
+    last, highest = first, own + at[1, column] + high
     for _ in range(high + 1):
-        last += last < m and key[last] <= highest
+        last += last < len(key) and key[last] <= highest
     return first, last
 
 
 @lean()
-def _begin_of(cells: Cells, c: int, at: IntArray, column: int) -> int:
-    """Where a column around cell c begins; sums in place of branches, for how far that is off the last is by chance."""
-    key, m, first, lowest = cells.key, len(cells.key), at[0, column], cells.key[c] + at[1, column]
+def _begin_of(key: IntArray, own: int, at: IntArray, column: int) -> int:
+    """Where a column around a cell begins; sums in place of branches, for how far that is off the last is by chance."""
+    first, lowest = at[0, column], own + at[1, column]
     for _ in range(2):
-        first += first < m and key[first] < lowest
-    while first < m and key[first] < lowest:
+        first += first < len(key) and key[first] < lowest
+    while first < len(key) and key[first] < lowest:
         first += 1
     at[0, column] = first
     return int(first)

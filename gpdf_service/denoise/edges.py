@@ -13,12 +13,15 @@ from numba import njit
 
 from gpdf_service.denoise.cells import (
     AROUND,
+    Some,
+    begin_among,
     begin_sweep,
-    cells_within,
     centre_of,
     gather,
     holds_any,
     look_around,
+    some_of,
+    some_within,
 )
 from gpdf_service.denoise.place import Placed, place_points
 from gpdf_service.denoise.planes import THICK, Windows
@@ -27,7 +30,7 @@ from gpdf_service.denoise.votes import LIGHT, MOST, VOTES, Room, add_vote, clust
 from gpdf_service.fields.shapes import FEWEST, add, fit_plane
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.kernel_cache import lean
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import FloatArray, IntArray
 
 _RINGS = 3
 """Cells off its own that planes are taken from: a window clear of an edge is two off, all those around it three."""
@@ -42,36 +45,36 @@ def place_at_edges(windows: Windows, placed: Placed) -> None:
         windows: Of the points; until now only cells where all around is flat have a main plane.
         placed: Where the points are; changed in place.
     """
-    flat = windows.main[:, 4] > 0.0
-    run_chunked(lambda a, b: _edge_range(windows, flat, placed, a, b), len(flat))
+    flat = some_of(windows.cells, windows.main[:, 4] > 0.0)
+    run_chunked(lambda a, b: _edge_range(windows, flat, placed, a, b), len(windows.main))
 
 
 @njit(cache=True, nogil=True)
-def _edge_range(windows: Windows, flat: BoolArray, placed: Placed, begin: int, end: int) -> None:
+def _edge_range(windows: Windows, flat: Some, placed: Placed, begin: int, end: int) -> None:
     cells, sigma, planes, _ = windows
     near, beside = np.empty(AROUND, np.int64), np.empty((2 * _RINGS + 1) ** 3, np.int64)
     room, own, rows = make_room(len(beside)), make_room(VOTES), np.empty(MOST, np.int64)
-    at, wide = begin_sweep(cells, begin), begin_sweep(cells, begin, _RINGS)
+    at, wide = begin_sweep(cells, begin), begin_among(flat.key, cells, begin, _RINGS)
     for c in range(begin, end):
         if not holds_any(cells, c, placed.pending):
             continue
+        count, (x, y, z) = 0, centre_of(cells, c)
+        for j in beside[: some_within(flat, cells.key[c], _RINGS, wide, beside)]:
+            plane, (a, b, d) = planes[flat.cell[j], 0], flat.middle[j]
+            count = add_vote(plane, (a - x, b - y, d - z), cells.width, sigma, room.cast, count)
+        if count == 0:
+            continue
         look_around(cells, c, at, near)
         about = room.about[:, : look_at(cells, c, rows[: gather(cells, near, rows)], room)]
-        number, least = _thickness(about, _HALF * cells.width, room)
-        if number < FEWEST:
-            continue
-        count, (x, y, z) = 0, centre_of(cells, c)
-        for j in beside[: cells_within(cells, c, _RINGS, wide, beside)]:
-            if flat[j]:
-                a, b, d = centre_of(cells, j)
-                count = add_vote(planes[j, 0], (a - x, b - y, d - z), cells.width, sigma, room.cast, count)
-        kinds = cluster(room, count, cells.width, sigma) if count > 0 else 0
-        if kinds == 0 or (kinds == 1 and least > _explained(sigma, number)):
+        number = _count_near(about, _HALF * cells.width)
+        kinds = cluster(room, count, cells.width, sigma) if number >= FEWEST else 0
+        most = _explained(sigma, number)
+        if kinds == 0 or (kinds == 1 and _thickness(about, _HALF * cells.width, room) > most):
             continue
         sum_known(room.found[:kinds], cells.width, sigma, room.known)
         fit_by_turns(sigma, cells.width, room, about.shape[1], kinds)
         rest = _rest(about, _HALF * cells.width, room, kinds)
-        if rest <= _explained(sigma, number) and not _bends(windows, near, about, own, kinds, rest):
+        if rest <= most and not _bends(windows, near, about, own, kinds, rest):
             place_points(windows, c, room, kinds, placed)
 
 
@@ -91,14 +94,23 @@ def _explained(sigma: float, number: int) -> float:
 
 
 @lean()
-def _thickness(about: FloatArray, half: float, room: Room) -> tuple[int, float]:
-    """How many of the points about a cell are near it, and what no one plane can leave less of than [m²]."""
+def _count_near(about: FloatArray, half: float) -> int:
+    """How many of the points about a cell its planes must explain."""
+    number = 0
+    for k in range(about.shape[1]):
+        number += _is_near(about, k, half)
+    return number
+
+
+@lean()
+def _thickness(about: FloatArray, half: float, room: Room) -> float:
+    """What no one plane can leave less of than of the points near a cell [m²]."""
     moments, (place, normal, _) = room.sums[0], room.vectors
     moments[:] = 0.0
     for k in range(about.shape[1]):
         if _is_near(about, k, half):
             add(moments, about[0, k], about[1, k], about[2, k])
-    return int(moments[0]), moments[0] * fit_plane(moments, place, normal)[0] if moments[0] >= FEWEST else 0.0
+    return float(moments[0] * fit_plane(moments, place, normal)[0])
 
 
 @lean()
