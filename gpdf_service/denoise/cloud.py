@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.denoise.cells import Cells, are_nearer, cells_around, sort_into_cells
+from gpdf_service.denoise.cells import Cells, are_nearer, cells_around, rows_around, sort_into_cells
 from gpdf_service.denoise.edges import place_at_edges
 from gpdf_service.denoise.noise import estimate_noise
 from gpdf_service.denoise.place import Placed, place_in_cells
@@ -146,9 +146,8 @@ def _quieter(points: FloatArray, blocks: Cells, made: Denoised) -> Iterator[tupl
         noise = made.measured / _QUIETER**times
         own = (level == times) & (made.local > noise)
         if own.any():
-            cells = sort_into_cells(points, 3.0 * _WIDE * RESOLVED * noise)  # windows around those of a wide cell
-            near = np.repeat(cells_around(cells, own), np.diff(cells.begin))
-            yield own, np.sort(cells.order[near]), noise
+            width = 3.0 * _WIDE * RESOLVED * noise  # windows around those of a wide cell
+            yield own, rows_around(points, own, width), noise
 
 
 @njit(cache=True, nogil=True)
