@@ -275,24 +275,26 @@ def holds_any(cells: Cells, c: int, asked: BoolArray) -> bool:
     return bool(found)
 
 
-def are_nearer(cells: Cells, spacing: float) -> bool:
-    """Whether `estimate_spacing` of the points is at most this, told by cells that are 1.6 times as wide, or wider."""
-    nearer = np.zeros(-(-len(cells.order) // _step_of(cells)), dtype=bool)
-    run_chunked(lambda a, b: _nearer_range(cells, spacing, a, b, nearer), len(cells.key))
-    return bool(2 * np.count_nonzero(nearer) > len(nearer))
+def spacing_told(cells: Cells, points: FloatArray) -> float:
+    """`estimate_spacing` of the points in the cells, shape (n, 3) [m]; inf where it takes a look further than beside.
+
+    The k-th neighbour is known where it is no further than a cell is wide.
+    """
+    k, step = min(NEIGHBOURS, len(points) - 1), max(1, len(points) // SAMPLE)
+    if k < 1:
+        return 0.0
+    square = np.full(-(-len(points) // step), np.inf)
+    run_chunked(lambda a, b: _kth_range(cells, points, (k, step), a, b, square), len(cells.key))
+    return float(np.median(np.sqrt(square)) * np.sqrt(pi / k))
 
 
 @njit(cache=True, nogil=True)
-def _step_of(cells: Cells) -> int:
-    """Which of the points are looked at: every so many."""
-    return max(1, len(cells.order) // SAMPLE)
-
-
-@njit(cache=True, nogil=True)
-def _nearer_range(cells: Cells, spacing: float, begin: int, end: int, nearer: BoolArray) -> None:
-    step, k = _step_of(cells), min(NEIGHBOURS, len(cells.order) - 1)
-    square = spacing**2 * k / pi
-    near, at = np.empty(AROUND, np.int64), begin_sweep(cells, begin)
+def _kth_range(
+    cells: Cells, points: FloatArray, asked: tuple[int, int], begin: int, end: int, square: FloatArray
+) -> None:
+    """Write how far the k-th neighbour is [m²] of every so many of the points, inf where it is further than a cell."""
+    (k, step), near, at = asked, np.empty(AROUND, np.int64), begin_sweep(cells, begin)
+    least, own = np.empty(k + 1), np.empty(3)
     for c in range(begin, end):
         looked = False
         for i in range(cells.begin[c], cells.begin[c + 1]):
@@ -301,12 +303,27 @@ def _nearer_range(cells: Cells, spacing: float, begin: int, end: int, nearer: Bo
             if not looked:
                 look_around(cells, c, at, near)
                 looked = True
-            x, count = cells.places[i], 0
+            own[:], least[:] = points[cells.order[i]], np.inf
             for j in near:
                 if j >= 0:
-                    for y in cells.places[cells.begin[j] : cells.begin[j + 1]]:
-                        count += (x[0] - y[0]) ** 2 + (x[1] - y[1]) ** 2 + (x[2] - y[2]) ** 2 <= square
-            nearer[cells.order[i] // step] = count > k
+                    _take_nearest(points, cells.order[cells.begin[j] : cells.begin[j + 1]], own, least)
+            if least[k] <= cells.width**2:
+                square[cells.order[i] // step] = least[k]
+
+
+@lean()
+def _take_nearest(points: FloatArray, rows: IntArray, own: FloatArray, least: FloatArray) -> None:
+    """Write the least of what was so and how far some points are [m²], in order; the place itself is one of them."""
+    last = len(least) - 1
+    for row in rows:
+        off = (points[row, 0] - own[0]) ** 2 + (points[row, 1] - own[1]) ** 2 + (points[row, 2] - own[2]) ** 2
+        if off >= least[last]:
+            continue
+        at = last
+        while at > 0 and least[at - 1] > off:
+            least[at] = least[at - 1]
+            at -= 1
+        least[at] = off
 
 
 def cells_around(cells: Cells, asked: BoolArray) -> BoolArray:

@@ -11,13 +11,14 @@ around is flat, and then with those that are as narrow as the noise lets them be
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import isinf
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.denoise.cells import Cells, are_nearer, cells_around, rows_around, sort_into_cells
+from gpdf_service.denoise.cells import Cells, cells_around, rows_around, sort_into_cells, spacing_told
 from gpdf_service.denoise.edges import place_at_edges
 from gpdf_service.denoise.noise import estimate_noise
 from gpdf_service.denoise.place import Placed, place_in_cells
@@ -33,6 +34,8 @@ RESOLVED = 2.0
 """[-] Width of a cell over the noise: a window is then twice as wide as it is thick (standard deviations)."""
 _FILLED = 1.3
 """[-] Width of a cell over the spacing: a window of a plane then holds fifteen points."""
+_FURTHER = 4.0
+"""[-] Width of cells over that of those in which too few points lay beside each other to tell their spacing."""
 _WIDE = 2.0
 """[-] Width of the wide cells over that of the others: a window of 12 σ, as precise again, where all of it is flat."""
 _FLAT = 7
@@ -163,8 +166,12 @@ def _denoise_alike(points: FloatArray, noise: float, things: bool) -> Denoised:
     """Points that are as noisy all over, in one pass."""
     width = RESOLVED * noise
     cells = sort_into_cells(points, _WIDE * width)
-    if not are_nearer(cells, width / _FILLED):
-        width = max(width, _FILLED * estimate_spacing(points))
+    spacing, beside = spacing_told(cells, points), cells
+    while isinf(spacing):
+        beside = sort_into_cells(points, _FURTHER * beside.width)
+        spacing = spacing_told(beside, points)
+    if _FILLED * spacing > width:
+        width = _FILLED * spacing
         cells = sort_into_cells(points, _WIDE * width)
     placed = Placed(
         points.copy(),
