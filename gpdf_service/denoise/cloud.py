@@ -11,7 +11,7 @@ around is flat, and then with those that are as narrow as the noise lets them be
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import isinf
+from math import isinf, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -138,10 +138,8 @@ def _denoise_part(points: FloatArray, noise: float, things: bool) -> Denoised:
 
 def _quieter(points: FloatArray, blocks: Cells, made: Denoised) -> Iterator[tuple[BoolArray, IntArray, float]]:
     """Points of quieter places than was thought, shape (n,), the rows of windows around them, and the noise there."""
-    off = np.linalg.norm(made.points - points, axis=1)
-    off[made.noise > HIDDEN * made.measured] = np.nan  # hardly known: such a plane follows its points
     median = np.empty(len(blocks.key))
-    run_chunked(lambda a, b: _medians(blocks, off, made.measured, a, b, median), len(median))
+    run_chunked(lambda a, b: _medians(blocks, points, made, a, b, median), len(median))
     less = np.log(made.measured / np.maximum(_NORMAL * median, 1e-9)) / np.log(_QUIETER)
     level = np.empty(len(points), np.int8)
     level[blocks.order] = np.repeat(np.clip(less, 0, _QUIETEST).astype(np.int8), np.diff(blocks.begin))
@@ -154,12 +152,18 @@ def _quieter(points: FloatArray, blocks: Cells, made: Denoised) -> Iterator[tupl
 
 
 @njit(cache=True, nogil=True)
-def _medians(blocks: Cells, off: FloatArray, most: float, begin: int, end: int, median: FloatArray) -> None:
-    """Median of how far the points of each block were moved [m]; the `most` where too few were: the others are NaN."""
+def _medians(blocks: Cells, points: FloatArray, made: Denoised, begin: int, end: int, median: FloatArray) -> None:
+    """Median of how far the points of each block were moved [m]; as much as is told at most where too few were.
+
+    Those that are hardly known do not count: such a plane follows its points.
+    """
+    x, y, off = points, made.points, np.empty(np.diff(blocks.begin[begin : end + 1]).max())
     for c in range(begin, end):
-        own = off[blocks.order[blocks.begin[c] : blocks.begin[c + 1]]]
-        told = own[~np.isnan(own)]
-        median[c] = np.median(told) if len(told) >= _TOLD and 2 * len(told) >= len(own) else most
+        rows, count = blocks.order[blocks.begin[c] : blocks.begin[c + 1]], 0
+        for i in rows:
+            off[count] = sqrt((y[i, 0] - x[i, 0]) ** 2 + (y[i, 1] - x[i, 1]) ** 2 + (y[i, 2] - x[i, 2]) ** 2)
+            count += made.noise[i] <= HIDDEN * made.measured
+        median[c] = np.median(off[:count]) if count >= _TOLD and 2 * count >= len(rows) else made.measured
 
 
 def _denoise_alike(points: FloatArray, noise: float, things: bool) -> Denoised:

@@ -435,10 +435,10 @@ def _read(site: _Site, cells: BoolArray) -> BoolArray:
 
 
 def _near_cells(high: FloatArray, width: float, config: PerceptionConfig) -> BoolArray:
-    """Cells whose points can tell a level anything, by the highest ground within `OVERLAP` of each, see `lowest_and_highest`.
+    """Cells whose points can tell a level anything, (nx, ny), by the `high` ground within `OVERLAP` of each [m].
 
-    No void is further than `MAX_HOLE_RADIUS` from ground, which is less; and no underside further than `widest_gap` from
-    what is over the ground there.
+    No void is further from ground than `MAX_HOLE_RADIUS`, which is less, and no underside further than `widest_gap`
+    from what is over the ground there.
     """
     return widened(np.isfinite(high), rings_of(config.widest_gap, width))
 
