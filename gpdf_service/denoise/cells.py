@@ -23,6 +23,8 @@ AROUND = 27
 """A cell and those that touch it."""
 _MARGIN = 3
 """Empty cells around all, so that a neighbour of the last one in a row is not the first of the next."""
+_ODD = 0x9E3779B1
+"""A number without a pattern."""
 _MOST = 1 << 19
 """Cells along a side: three of them make a number of 57 bits."""
 
@@ -49,19 +51,80 @@ class Cells(NamedTuple):
     strides: IntArray
 
 
+class Some(NamedTuple):
+    """Some of the cells, which sweeps pass over without the rest.
+
+    Attributes:
+        cell: Which they are, ascending, shape (k,).
+        key: Number of each, shape (k,).
+        middle: Centre of each from the corner [m], shape (k, 3).
+    """
+
+    cell: IntArray
+    key: IntArray
+    middle: FloatArray
+
+
+Grid = tuple[FloatArray, float, IntArray]
+"""Corner, width and strides of cells, as `Cells` tells them."""
+
+
 def sort_into_cells(points: FloatArray, width: float) -> Cells:
     """Points, shape (n, 3) [m], in cells of at least `width` [m]."""
+    grid = _grid_over(points, width)
+    key, places = _keys_of(points, grid), np.empty((len(points), 3))
+    order = order_by(key)
+    begin, own = _runs(points, grid[0], key, order, places)
+    return Cells(order, places, begin, own, *grid)
+
+
+def rows_around(points: FloatArray, asked: BoolArray, width: float) -> IntArray:
+    """Rows of the points in the cells of `sort_into_cells` that hold one that is `asked` for, or are beside such."""
+    grid = _grid_over(points, width)
+    key, offsets = _keys_of(points, grid), np.arange(-1, 2)
+    around = np.add.outer(np.add.outer(offsets * grid[2][0], offsets * grid[2][1]), offsets).ravel()
+    wanted = np.unique(np.add.outer(np.unique(key[asked]), around))
+    return np.flatnonzero(_are_among(key, wanted))
+
+
+def _grid_over(points: FloatArray, width: float) -> Grid:
     lowest, highest = corners_of(points)
     width = max(width, float((highest - lowest).max()) / _MOST)
     corner = lowest - _MARGIN * width
     counts = np.floor((highest - corner) / width).astype(np.int64) + 1 + _MARGIN
-    strides = np.array([counts[1] * counts[2], counts[2]])
+    return corner, width, np.array([counts[1] * counts[2], counts[2]])
+
+
+def _keys_of(points: FloatArray, grid: Grid) -> IntArray:
     key = np.empty(len(points), np.int64)
-    run_chunked(lambda a, b: _keys(points[a:b], corner, width, strides, key[a:b]), len(points))
-    order = order_by(key)
-    places = np.empty((len(points), 3))
-    begin, own = _runs(points, corner, key, order, places)
-    return Cells(order, places, begin, own, corner, width, strides)
+    run_chunked(lambda a, b: _keys(points[a:b], *grid, key[a:b]), len(points))
+    return key
+
+
+@njit(cache=True, nogil=True)
+def _are_among(key: IntArray, wanted: IntArray) -> BoolArray:
+    """Which keys are among those that are `wanted`, none of them twice, shape (n,)."""
+    slots = 4
+    while slots < 4 * len(wanted):
+        slots *= 2
+    table, found = np.full(slots, -1), np.empty(len(key), np.bool_)
+    for one in wanted:
+        at = _slot_of(one, slots)
+        while table[at] >= 0:
+            at = (at + 1) & (slots - 1)
+        table[at] = one
+    for i in range(len(key)):
+        at = _slot_of(key[i], slots)
+        while table[at] >= 0 and table[at] != key[i]:
+            at = (at + 1) & (slots - 1)
+        found[i] = table[at] >= 0
+    return found
+
+
+@lean()
+def _slot_of(key: int, slots: int) -> int:
+    """Where to look for a key first; keys that follow each other lie beside each other, those of rows do not meet."""
+    return (key ^ (key >> 9) * _ODD) & (slots - 1)
 
 
 @njit(cache=True, nogil=True)
@@ -121,11 +184,17 @@ def begin_sweep(cells: Cells, first: int, rings: int = 1) -> IntArray:
 
     And by how much the number of the lowest cell in such a column exceeds that of the cell itself.
     """
+    return begin_among(cells.key, cells, first, rings)
+
+
+@njit(cache=True, nogil=True)
+def begin_among(key: IntArray, cells: Cells, first: int, rings: int) -> IntArray:
+    """`begin_sweep` of some of the cells, whose numbers are `key`."""
     at = np.empty((2, (2 * rings + 1) ** 2), np.int64)
     for j in range(at.shape[1]):
         x, y = divmod(j, 2 * rings + 1)
         at[1, j] = (x - rings) * cells.strides[0] + (y - rings) * cells.strides[1] - rings
-        at[0, j] = np.searchsorted(cells.key, cells.key[first] + at[1, j])
+        at[0, j] = np.searchsorted(key, cells.key[first] + at[1, j])
     return at
 
 
@@ -141,7 +210,7 @@ def look_around(cells: Cells, c: int, at: IntArray, near: IntArray) -> None:
     """
     key, m = cells.key, len(cells.key)
     for j in range(9):
-        p = _begin_of(cells, c, at, j)
+        p = _begin_of(key, key[c], at, j)
         for k in range(3):
             there = p < m and key[p] == key[c] + at[1, j] + k
             near[3 * j + k] = p if there else -1
@@ -206,24 +275,26 @@ def holds_any(cells: Cells, c: int, asked: BoolArray) -> bool:
     return bool(found)
 
 
-def are_nearer(cells: Cells, spacing: float) -> bool:
-    """Whether `estimate_spacing` of the points is at most this, told by cells that are 1.6 times as wide, or wider."""
-    nearer = np.zeros(-(-len(cells.order) // _step_of(cells)), dtype=bool)
-    run_chunked(lambda a, b: _nearer_range(cells, spacing, a, b, nearer), len(cells.key))
-    return bool(2 * np.count_nonzero(nearer) > len(nearer))
+def spacing_told(cells: Cells, points: FloatArray) -> float:
+    """`estimate_spacing` of the points in the cells, shape (n, 3) [m]; inf where it takes a look further than beside.
+
+    The k-th neighbour is known where it is no further than a cell is wide.
+    """
+    k, step = min(NEIGHBOURS, len(points) - 1), max(1, len(points) // SAMPLE)
+    if k < 1:
+        return 0.0
+    square = np.full(-(-len(points) // step), np.inf)
+    run_chunked(lambda a, b: _kth_range(cells, points, (k, step), a, b, square), len(cells.key))
+    return float(np.median(np.sqrt(square)) * np.sqrt(pi / k))
 
 
 @njit(cache=True, nogil=True)
-def _step_of(cells: Cells) -> int:
-    """Which of the points are looked at: every so many."""
-    return max(1, len(cells.order) // SAMPLE)
-
-
-@njit(cache=True, nogil=True)
-def _nearer_range(cells: Cells, spacing: float, begin: int, end: int, nearer: BoolArray) -> None:
-    step, k = _step_of(cells), min(NEIGHBOURS, len(cells.order) - 1)
-    square = spacing**2 * k / pi
-    near, at = np.empty(AROUND, np.int64), begin_sweep(cells, begin)
+def _kth_range(
+    cells: Cells, points: FloatArray, asked: tuple[int, int], begin: int, end: int, square: FloatArray
+) -> None:
+    """Write how far the k-th neighbour is [m²] of every so many of the points, inf where it is further than a cell."""
+    (k, step), near, at = asked, np.empty(AROUND, np.int64), begin_sweep(cells, begin)
+    least, own = np.empty(k + 1), np.empty(3)
     for c in range(begin, end):
         looked = False
         for i in range(cells.begin[c], cells.begin[c + 1]):
@@ -232,12 +303,27 @@ def _nearer_range(cells: Cells, spacing: float, begin: int, end: int, nearer: Bo
             if not looked:
                 look_around(cells, c, at, near)
                 looked = True
-            x, count = cells.places[i], 0
+            own[:], least[:] = points[cells.order[i]], np.inf
             for j in near:
                 if j >= 0:
-                    for y in cells.places[cells.begin[j] : cells.begin[j + 1]]:
-                        count += (x[0] - y[0]) ** 2 + (x[1] - y[1]) ** 2 + (x[2] - y[2]) ** 2 <= square
-            nearer[cells.order[i] // step] = count > k
+                    _take_nearest(points, cells.order[cells.begin[j] : cells.begin[j + 1]], own, least)
+            if least[k] <= cells.width**2:
+                square[cells.order[i] // step] = least[k]
+
+
+@lean()
+def _take_nearest(points: FloatArray, rows: IntArray, own: FloatArray, least: FloatArray) -> None:
+    """Write the least of what was so and how far some points are [m²], in order; the place itself is one of them."""
+    last = len(least) - 1
+    for row in rows:
+        off = (points[row, 0] - own[0]) ** 2 + (points[row, 1] - own[1]) ** 2 + (points[row, 2] - own[2]) ** 2
+        if off >= least[last]:
+            continue
+        at = last
+        while at > 0 and least[at - 1] > off:
+            least[at] = least[at - 1]
+            at -= 1
+        least[at] = off
 
 
 def cells_around(cells: Cells, asked: BoolArray) -> BoolArray:
@@ -258,15 +344,23 @@ def _around_range(cells: Cells, asked: BoolArray, begin: int, end: int, found: B
                     found[j] = True
 
 
-@lean()
-def cells_within(cells: Cells, c: int, rings: int, at: IntArray, beside: IntArray) -> int:
-    """Write the cells at most `rings` off cell c, which is no less than in the call before; how many.
+def some_of(cells: Cells, which: BoolArray) -> Some:
+    """The cells that `which` says, shape (m,)."""
+    cell = np.flatnonzero(which)
+    key = cells.key[cell]
+    x, rest = np.divmod(key, cells.strides[0])
+    return Some(cell, key, (np.column_stack([x, *np.divmod(rest, cells.strides[1])]) + 0.5) * cells.width)
 
-    The sweep goes on from `at`, of `begin_sweep` with as many rings.
+
+@lean()
+def some_within(some: Some, key: int, rings: int, at: IntArray, beside: IntArray) -> int:
+    """Write which of some cells are at most `rings` off that of a `key`, no less than in the call before; how many.
+
+    The sweep goes on from `at`, of `begin_among` with as many rings.
     """
     found = 0
     for column in range(at.shape[1]):
-        first, last = _go_on(cells, c, 2 * rings, at, column)
+        first, last = _go_on(some.key, key, 2 * rings, at, column)
         for j in range(first, last):
             beside[found] = j
             found += 1
@@ -275,10 +369,13 @@ def cells_within(cells: Cells, c: int, rings: int, at: IntArray, beside: IntArra
 
 @lean()
 def runs_within(cells: Cells, c: int, rings: int, at: IntArray, runs: IntArray) -> int:
-    """As `cells_within`, but write where the places of a column's cells begin and end, shape (…, 2)."""
+    """Write where the places of the cells at most `rings` off cell c begin and end, column by column; how many are any.
+
+    Cell c is no less than in the call before; the sweep goes on from `at`, of `begin_sweep` with as many rings.
+    """
     found = 0
     for column in range(at.shape[1]):
-        first, last = _go_on(cells, c, 2 * rings, at, column)
+        first, last = _go_on(cells.key, cells.key[c], 2 * rings, at, column)
         runs[found, 0], runs[found, 1] = cells.begin[first], cells.begin[last]
         found += first < last
     return found
@@ -294,22 +391,22 @@ def count_in(runs: IntArray) -> int:
 
 
 @lean()
-def _go_on(cells: Cells, c: int, high: int, at: IntArray, column: int) -> tuple[int, int]:
-    """Where a column around cell c begins, and ends `high` cells over its lowest one."""
-    key, m, first = cells.key, len(cells.key), _begin_of(cells, c, at, column)
-    last, highest = first, key[c] + at[1, column] + high
+def _go_on(key: IntArray, own: int, high: int, at: IntArray, column: int) -> tuple[int, int]:
+    """Where a column around the cell numbered `own` begins, and ends `high` cells over its lowest one."""
+    first = _begin_of(key, own, at, column)
+    last, highest = first, own + at[1, column] + high
     for _ in range(high + 1):
-        last += last < m and key[last] <= highest
+        last += last < len(key) and key[last] <= highest
     return first, last
 
 
 @lean()
-def _begin_of(cells: Cells, c: int, at: IntArray, column: int) -> int:
-    """Where a column around cell c begins; sums in place of branches, for how far that is off the last is by chance."""
-    key, m, first, lowest = cells.key, len(cells.key), at[0, column], cells.key[c] + at[1, column]
+def _begin_of(key: IntArray, own: int, at: IntArray, column: int) -> int:
+    """Where a column around a cell begins; sums in place of branches, for how far that is off the last is by chance."""
+    first, lowest = at[0, column], own + at[1, column]
     for _ in range(2):
-        first += first < m and key[first] < lowest
-    while first < m and key[first] < lowest:
+        first += first < len(key) and key[first] < lowest
+    while first < len(key) and key[first] < lowest:
         first += 1
     at[0, column] = first
     return int(first)

@@ -11,13 +11,14 @@ around is flat, and then with those that are as narrow as the noise lets them be
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import isinf, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.denoise.cells import Cells, are_nearer, cells_around, sort_into_cells
+from gpdf_service.denoise.cells import Cells, cells_around, rows_around, sort_into_cells, spacing_told
 from gpdf_service.denoise.edges import place_at_edges
 from gpdf_service.denoise.noise import estimate_noise
 from gpdf_service.denoise.place import Placed, place_in_cells
@@ -33,6 +34,8 @@ RESOLVED = 2.0
 """[-] Width of a cell over the noise: a window is then twice as wide as it is thick (standard deviations)."""
 _FILLED = 1.3
 """[-] Width of a cell over the spacing: a window of a plane then holds fifteen points."""
+_FURTHER = 4.0
+"""[-] Width of cells over that of those in which too few points lay beside each other to tell their spacing."""
 _WIDE = 2.0
 """[-] Width of the wide cells over that of the others: a window of 12 σ, as precise again, where all of it is flat."""
 _FLAT = 7
@@ -135,10 +138,8 @@ def _denoise_part(points: FloatArray, noise: float, things: bool) -> Denoised:
 
 def _quieter(points: FloatArray, blocks: Cells, made: Denoised) -> Iterator[tuple[BoolArray, IntArray, float]]:
     """Points of quieter places than was thought, shape (n,), the rows of windows around them, and the noise there."""
-    off = np.linalg.norm(made.points - points, axis=1)
-    off[made.noise > HIDDEN * made.measured] = np.nan  # hardly known: such a plane follows its points
     median = np.empty(len(blocks.key))
-    run_chunked(lambda a, b: _medians(blocks, off, made.measured, a, b, median), len(median))
+    run_chunked(lambda a, b: _medians(blocks, points, made, a, b, median), len(median))
     less = np.log(made.measured / np.maximum(_NORMAL * median, 1e-9)) / np.log(_QUIETER)
     level = np.empty(len(points), np.int8)
     level[blocks.order] = np.repeat(np.clip(less, 0, _QUIETEST).astype(np.int8), np.diff(blocks.begin))
@@ -146,26 +147,35 @@ def _quieter(points: FloatArray, blocks: Cells, made: Denoised) -> Iterator[tupl
         noise = made.measured / _QUIETER**times
         own = (level == times) & (made.local > noise)
         if own.any():
-            cells = sort_into_cells(points, 3.0 * _WIDE * RESOLVED * noise)  # windows around those of a wide cell
-            near = np.repeat(cells_around(cells, own), np.diff(cells.begin))
-            yield own, np.sort(cells.order[near]), noise
+            width = 3.0 * _WIDE * RESOLVED * noise  # windows around those of a wide cell
+            yield own, rows_around(points, own, width), noise
 
 
 @njit(cache=True, nogil=True)
-def _medians(blocks: Cells, off: FloatArray, most: float, begin: int, end: int, median: FloatArray) -> None:
-    """Median of how far the points of each block were moved [m]; the `most` where too few were: the others are NaN."""
+def _medians(blocks: Cells, points: FloatArray, made: Denoised, begin: int, end: int, median: FloatArray) -> None:
+    """Median of how far the points of each block were moved [m]; as much as is told at most where too few were.
+
+    Those that are hardly known do not count: such a plane follows its points.
+    """
+    x, y, off = points, made.points, np.empty(np.diff(blocks.begin[begin : end + 1]).max())
     for c in range(begin, end):
-        own = off[blocks.order[blocks.begin[c] : blocks.begin[c + 1]]]
-        told = own[~np.isnan(own)]
-        median[c] = np.median(told) if len(told) >= _TOLD and 2 * len(told) >= len(own) else most
+        rows, count = blocks.order[blocks.begin[c] : blocks.begin[c + 1]], 0
+        for i in rows:
+            off[count] = sqrt((y[i, 0] - x[i, 0]) ** 2 + (y[i, 1] - x[i, 1]) ** 2 + (y[i, 2] - x[i, 2]) ** 2)
+            count += made.noise[i] <= HIDDEN * made.measured
+        median[c] = np.median(off[:count]) if count >= _TOLD and 2 * count >= len(rows) else made.measured
 
 
 def _denoise_alike(points: FloatArray, noise: float, things: bool) -> Denoised:
     """Points that are as noisy all over, in one pass."""
     width = RESOLVED * noise
     cells = sort_into_cells(points, _WIDE * width)
-    if not are_nearer(cells, width / _FILLED):
-        width = max(width, _FILLED * estimate_spacing(points))
+    spacing, beside = spacing_told(cells, points), cells
+    while isinf(spacing):
+        beside = sort_into_cells(points, _FURTHER * beside.width)
+        spacing = spacing_told(beside, points)
+    if _FILLED * spacing > width:
+        width = _FILLED * spacing
         cells = sort_into_cells(points, _WIDE * width)
     placed = Placed(
         points.copy(),

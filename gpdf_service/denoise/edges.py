@@ -13,21 +13,24 @@ from numba import njit
 
 from gpdf_service.denoise.cells import (
     AROUND,
+    Some,
+    begin_among,
     begin_sweep,
-    cells_within,
     centre_of,
     gather,
     holds_any,
     look_around,
+    some_of,
+    some_within,
 )
 from gpdf_service.denoise.place import Placed, place_points
-from gpdf_service.denoise.planes import THICK, Windows
+from gpdf_service.denoise.planes import THICK, Planes, Windows
 from gpdf_service.denoise.turns import fit_by_turns, look_at, sum_known
 from gpdf_service.denoise.votes import LIGHT, MOST, VOTES, Room, add_vote, cluster, collect, make_room, onto_plane
 from gpdf_service.fields.shapes import FEWEST, add, fit_plane
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.kernel_cache import lean
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import IntArray
 
 _RINGS = 3
 """Cells off its own that planes are taken from: a window clear of an edge is two off, all those around it three."""
@@ -42,46 +45,52 @@ def place_at_edges(windows: Windows, placed: Placed) -> None:
         windows: Of the points; until now only cells where all around is flat have a main plane.
         placed: Where the points are; changed in place.
     """
-    flat = windows.main[:, 4] > 0.0
-    run_chunked(lambda a, b: _edge_range(windows, flat, placed, a, b), len(flat))
+    flat = some_of(windows.cells, windows.main[:, 4] > 0.0)
+    planes = np.ascontiguousarray(windows.planes[flat.cell, 0])
+    run_chunked(lambda a, b: _edge_range(windows, (flat, planes), placed, a, b), len(windows.main))
 
 
 @njit(cache=True, nogil=True)
-def _edge_range(windows: Windows, flat: BoolArray, placed: Placed, begin: int, end: int) -> None:
-    cells, sigma, planes, _ = windows
+def _edge_range(windows: Windows, told: tuple[Some, Planes], placed: Placed, begin: int, end: int) -> None:
+    """As `place_at_edges`, of cells from `begin` to `end`; the flat cells are told, and their planes."""
+    (cells, sigma, _, _), (flat, planes) = windows, told
     near, beside = np.empty(AROUND, np.int64), np.empty((2 * _RINGS + 1) ** 3, np.int64)
     room, own, rows = make_room(len(beside)), make_room(VOTES), np.empty(MOST, np.int64)
-    at, wide = begin_sweep(cells, begin), begin_sweep(cells, begin, _RINGS)
+    at, wide, half = begin_sweep(cells, begin), begin_among(flat.key, cells, begin, _RINGS), _HALF * cells.width
     for c in range(begin, end):
         if not holds_any(cells, c, placed.pending):
             continue
-        look_around(cells, c, at, near)
-        about = room.about[:, : look_at(cells, c, rows[: gather(cells, near, rows)], room)]
-        number, least = _thickness(about, _HALF * cells.width, room)
-        if number < FEWEST:
-            continue
         count, (x, y, z) = 0, centre_of(cells, c)
-        for j in beside[: cells_within(cells, c, _RINGS, wide, beside)]:
-            if flat[j]:
-                a, b, d = centre_of(cells, j)
-                count = add_vote(planes[j, 0], (a - x, b - y, d - z), cells.width, sigma, room.cast, count)
-        kinds = cluster(room, count, cells.width, sigma) if count > 0 else 0
-        if kinds == 0 or (kinds == 1 and least > _explained(sigma, number)):
+        for j in beside[: some_within(flat, cells.key[c], _RINGS, wide, beside)]:
+            a, b, d = flat.middle[j]
+            count = add_vote(planes[j], (a - x, b - y, d - z), cells.width, sigma, room.cast, count)
+        if count == 0:
+            continue
+        look_around(cells, c, at, near)
+        number = look_at(cells, c, rows[: gather(cells, near, rows)], room)
+        close = _count_close(room, number, half)
+        kinds = cluster(room, count, cells.width, sigma) if close >= FEWEST else 0
+        most = _explained(sigma, close)
+        if kinds == 0 or (kinds == 1 and _thickness(room, number, half) > most):
             continue
         sum_known(room.found[:kinds], cells.width, sigma, room.known)
-        fit_by_turns(sigma, cells.width, room, about.shape[1], kinds)
-        rest = _rest(about, _HALF * cells.width, room, kinds)
-        if rest <= _explained(sigma, number) and not _bends(windows, near, about, own, kinds, rest):
+        fit_by_turns(sigma, cells.width, room, number, kinds)
+        rest = _rest(room, room, number, kinds, half)
+        if rest <= most and not _bends(windows, near, (room, number), own, kinds, rest):
             place_points(windows, c, room, kinds, placed)
 
 
 @lean()
-def _bends(windows: Windows, near: IntArray, about: FloatArray, room: Room, kinds: int, rest: float) -> bool:
-    """Whether no more planes, of the windows right around, leave less: then the surface bends, and goes not on."""
-    own = cluster(room, collect(windows, near, room.cast), windows.cells.width, windows.sigma)
+def _bends(windows: Windows, near: IntArray, about: tuple[Room, int], room: Room, kinds: int, rest: float) -> bool:
+    """Whether no more planes, of the windows right around, leave less: then the surface bends, and goes not on.
+
+    It is asked `about` the points in a room, of which there are so many.
+    """
+    width = windows.cells.width
+    own = cluster(room, collect(windows, near, room.cast), width, windows.sigma)
     if own == 0 or own > kinds:
         return own == 0
-    return bool(_rest(about, _HALF * windows.cells.width, room, own) < rest)
+    return bool(_rest(room, *about, own, _HALF * width) < rest)
 
 
 @lean()
@@ -91,32 +100,47 @@ def _explained(sigma: float, number: int) -> float:
 
 
 @lean()
-def _thickness(about: FloatArray, half: float, room: Room) -> tuple[int, float]:
-    """How many of the points about a cell are near it, and what no one plane can leave less of than [m²]."""
+def _count_close(room: Room, number: int, half: float) -> int:
+    """How many of so many points about a cell its planes must explain."""
+    x, y, z = room.about[0, :number], room.about[1, :number], room.about[2, :number]
+    count = 0
+    for k in range(number):
+        count += _is_close(x[k], y[k], z[k], half)
+    return count
+
+
+@lean()
+def _is_close(x: float, y: float, z: float, half: float) -> bool:
+    """Whether the planes of a cell must explain a point so far from its middle [m]."""
+    return bool((abs(x) <= half) & (abs(y) <= half) & (abs(z) <= half))
+
+
+@lean()
+def _thickness(room: Room, number: int, half: float) -> float:
+    """What no one plane can leave less of than of the points close to a cell [m²]."""
+    x, y, z = room.about[0, :number], room.about[1, :number], room.about[2, :number]
     moments, (place, normal, _) = room.sums[0], room.vectors
     moments[:] = 0.0
-    for k in range(about.shape[1]):
-        if _is_near(about, k, half):
-            add(moments, about[0, k], about[1, k], about[2, k])
-    return int(moments[0]), moments[0] * fit_plane(moments, place, normal)[0] if moments[0] >= FEWEST else 0.0
+    for k in range(number):
+        if _is_close(x[k], y[k], z[k], half):
+            add(moments, x[k], y[k], z[k])
+    return float(moments[0] * fit_plane(moments, place, normal)[0])
 
 
 @lean()
-def _is_near(about: FloatArray, k: int, half: float) -> bool:
-    """Whether the planes of a cell must explain a point about it."""
-    return bool(max(abs(about[0, k]), abs(about[1, k]), abs(about[2, k])) <= half)
+def _rest(planes: Room, room: Room, number: int, kinds: int, half: float) -> float:
+    """Sum of the squares by which the points close to a cell are off its planes [m²].
 
-
-@lean()
-def _rest(about: FloatArray, half: float, room: Room, kinds: int) -> float:
-    """Sum of the squares by which the points near a cell are off its planes [m²]."""
-    found, (_, place, _), total = room.found[:kinds], room.vectors, 0.0
-    for k in range(about.shape[1]):
-        if not _is_near(about, k, half):
+    The first `kinds` planes are in one room, and so many points in another one, which may be the same.
+    """
+    x, y, z = room.about[0, :number], room.about[1, :number], room.about[2, :number]
+    found, (own, place, _), total = planes.found[:kinds], planes.vectors, 0.0
+    for k in range(number):
+        if not _is_close(x[k], y[k], z[k], half):
             continue
-        least = np.inf
+        least, (own[0], own[1], own[2]) = np.inf, (x[k], y[k], z[k])
         for kind in range(kinds):
             if found[kind, 4] >= LIGHT * found[0, 4]:
-                least = min(least, onto_plane(found, room.ends, kind, about[:, k], place))
+                least = min(least, onto_plane(found, planes.ends, kind, own, place))
         total += least
     return total

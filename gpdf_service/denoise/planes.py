@@ -23,7 +23,7 @@ from gpdf_service.denoise.cells import (
     sum_cells,
     sum_window,
 )
-from gpdf_service.fields.shapes import FEWEST, add, fit_axis, fit_plane
+from gpdf_service.fields.shapes import FEWEST, fit_axis, fit_plane
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.tree import VECTORS
 from gpdf_service.kernel_cache import lean
@@ -82,8 +82,8 @@ def find_planes(cells: Cells, sigma: float, wanted: BoolArray) -> Windows:
 def _planes_range(windows: Windows, moments: FloatArray, wanted: BoolArray, begin: int, end: int) -> None:
     cells, sigma, planes, _ = windows
     near, total, normal, mean = np.empty(AROUND, np.int64), np.empty(10), np.empty(3), np.empty(3)
-    rows, halves, heights = np.empty(_MOST, np.int64), np.empty((2, 10)), np.empty(_MOST)
-    at = begin_sweep(cells, begin)
+    rows, halves, about = np.empty(_MOST, np.int64), np.empty((2, 10)), np.empty((4, _MOST))
+    at, sides = begin_sweep(cells, begin), np.empty((2, _MOST), np.int64)
     for c in range(begin, end):
         if not wanted[c]:
             continue
@@ -98,12 +98,13 @@ def _planes_range(windows: Windows, moments: FloatArray, wanted: BoolArray, begi
                 _write(planes[c, 0], normal, mean, (total[0], (middle - low) ** 2 / middle, excess), cells.width, sigma)
         elif total[0] >= 2 * FEWEST:
             count = gather(cells, near, rows)
+            _look_at(cells, c, rows[:count], about)
             for axis in range(3):
                 if _is_round((low, middle, high), axis):
                     continue
                 if axis > 0:
                     fit_axis(total, middle if axis == 1 else high, normal)
-                split = _split(cells, c, rows[:count], normal, heights, halves)
+                split = _split(about, count, normal, sides, halves)
                 if split and _both(halves, sigma, total[0] / count, cells.width, planes[c]):
                     break
 
@@ -137,27 +138,67 @@ def _write(
     plane[9] = (1.0 - off * off) * exp(-0.5 * max(excess, 0.0) ** 2)
 
 
-@njit(cache=True, nogil=True)
-def _split(cells: Cells, c: int, rows: IntArray, axis: FloatArray, heights: FloatArray, halves: FloatArray) -> bool:
-    """Write the sums of two sheets across `axis`, (2, 10); whether there are two."""
-    (x, y, z), n, total = centre_of(cells, c), len(rows), 0.0
-    for i in range(n):
+@lean()
+def _look_at(cells: Cells, c: int, rows: IntArray, about: FloatArray) -> None:
+    """Write the places of `rows` from the middle of cell c [m], one coordinate after the other."""
+    x, y, z = centre_of(cells, c)
+    for i in range(len(rows)):
         p = cells.places[rows[i]]
-        heights[i] = (p[0] - x) * axis[0] + (p[1] - y) * axis[1] + (p[2] - z) * axis[2]
-        total += heights[i]
+        about[0, i], about[1, i], about[2, i] = p[0] - x, p[1] - y, p[2] - z
+
+
+@lean()
+def _split(about: FloatArray, n: int, axis: FloatArray, sides: IntArray, halves: FloatArray) -> bool:
+    """Write the sums of two sheets across `axis`, (2, 10); whether there are two.
+
+    Args:
+        about: The points, and room for how high they are, shape (4, …) [m].
+        n: How many points there are.
+        axis: Across the sheets, shape (3,).
+        sides: Room for which points are of each, shape (2, …).
+        halves: Written.
+    """
+    x, y, z, heights = about[0, :n], about[1, :n], about[2, :n], about[3, :n]
+    total, (u, v, w) = 0.0, axis
+    for i in range(n):
+        heights[i] = x[i] * u + y[i] * v + z[i] * w
+    for h in heights:
+        total += h
     cut = total / n
     for _ in range(_TURNS):
-        upper, above = _sum_over(cut, heights[:n])
+        upper, above = _sum_over(cut, heights)
         if above < FEWEST or n - above < FEWEST:
             return False
         cut, before = 0.5 * (upper / above + (total - upper) / (n - above)), cut
         if cut == before:
             break
-    halves[:] = 0.0
-    for i in range(n):
-        p = cells.places[rows[i]]
-        add(halves[int(heights[i] > cut)], p[0] - x, p[1] - y, p[2] - z)
-    return bool(min(halves[0, 0], halves[1, 0]) >= FEWEST)
+    under, over = 0, 0
+    for i in range(n):  # written, and kept or not: a guess would be wrong
+        sides[0, under], sides[1, over] = i, i
+        over += heights[i] > cut
+        under = i + 1 - over
+    for half in range(SHEETS):
+        _sum_side(about, sides[half, : over if half > 0 else under], halves[half])
+    return bool(min(under, over) >= FEWEST)
+
+
+@lean()
+def _sum_side(about: FloatArray, rows: IntArray, m: FloatArray) -> None:
+    """Write the sums of some of the points, as `add` makes them."""
+    x, y, z = about[0], about[1], about[2]
+    m1, m2, m3, m4, m5, m6, m7, m8, m9 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in rows:
+        a, b, c = x[i], y[i], z[i]
+        m1 += a
+        m2 += b
+        m3 += c
+        m4 += a * a
+        m5 += b * b
+        m6 += c * c
+        m7 += a * b
+        m8 += a * c
+        m9 += b * c
+    m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9] = len(rows), m1, m2, m3, m4, m5, m6, m7, m8, m9
 
 
 @lean(fastmath=VECTORS)

@@ -14,12 +14,16 @@ from numba import njit
 from gpdf_service.denoise.cells import (
     AROUND,
     Cells,
+    Some,
+    begin_among,
     begin_sweep,
-    cells_within,
-    centre_of,
+    count_in,
     gather,
     holds_any,
     look_around,
+    runs_within,
+    some_of,
+    some_within,
 )
 from gpdf_service.denoise.place import Placed
 from gpdf_service.denoise.planes import Windows
@@ -48,8 +52,8 @@ _WITNESSES = 256
 
 def follow_planes(windows: Windows, placed: Placed) -> BoolArray:
     """Put pending points onto the main plane of a cell near them; which those are, shape (n,)."""
-    before = placed.pending.copy()
-    run_chunked(lambda a, b: _follow_range(windows, placed, a, b), len(windows.main))
+    before, shown = placed.pending.copy(), some_of(windows.cells, windows.main[:, 4] > 0.0)
+    run_chunked(lambda a, b: _follow_range(windows, shown, placed, a, b), len(windows.main))
     return before & ~placed.pending
 
 
@@ -73,33 +77,45 @@ def find_alone(cells: Cells, placed: Placed) -> BoolArray:
 
 
 @njit(cache=True, nogil=True)
-def _follow_range(windows: Windows, placed: Placed, begin: int, end: int) -> None:
+def _follow_range(windows: Windows, shown: Some, placed: Placed, begin: int, end: int) -> None:
+    """As `follow_planes`, of cells from `begin` to `end`; `shown` are those that have a main plane."""
     cells, sigma, _, main = windows
     beside, limit = np.empty((2 * _RINGS + 1) ** 3, np.int64), _FURTHEST * sigma
-    at = begin_sweep(cells, begin, _RINGS)
+    planes, at = np.empty((len(beside), 7)), begin_among(shown.key, cells, begin, _RINGS)
     for c in range(begin, end):
         if not holds_any(cells, c, placed.pending):
             continue
-        count = cells_within(cells, c, _RINGS, at, beside)
-        for i in range(cells.begin[c], cells.begin[c + 1]):
+        count = some_within(shown, cells.key[c], _RINGS, at, beside)
+        for j in range(count):
+            planes[j, :3], planes[j, 3:] = shown.middle[beside[j]], main[shown.cell[beside[j]], :4]
+        for i in range(cells.begin[c], cells.begin[c + 1] if count > 0 else cells.begin[c]):
             row = cells.order[i]
             if not placed.pending[row]:
                 continue
-            p, least, best, height = cells.places[i], limit, -1, 0.0
-            for j in beside[:count]:
-                if main[j, 4] == 0.0:
-                    continue
-                x, y, z = centre_of(cells, j)
-                a, b, d = p[0] - x, p[1] - y, p[2] - z
-                off = a * main[j, 0] + b * main[j, 1] + d * main[j, 2] - main[j, 3]
-                a, b, d = a - off * main[j, 0], b - off * main[j, 1], d - off * main[j, 2]
-                if abs(off) < least and max(abs(a), abs(b), abs(d)) <= cells.width:
-                    least, best, height = abs(off), j, off
+            best, height = _nearest(cells.places[i], planes[:count], limit, cells.width)
             if best >= 0:
                 for k in range(3):
-                    placed.points[row, k] = p[k] + cells.corner[k] - height * main[best, k]
-                    placed.normal[row, k] = main[best, k]
-                placed.error[row], placed.pending[row] = main[best, 4], False
+                    placed.points[row, k] = cells.places[i, k] + cells.corner[k] - height * planes[best, 3 + k]
+                    placed.normal[row, k] = planes[best, 3 + k]
+                placed.error[row], placed.pending[row] = main[shown.cell[beside[best]], 4], False
+
+
+@lean()
+def _nearest(p: FloatArray, planes: FloatArray, limit: float, width: float) -> tuple[int, float]:
+    """Which of the planes is nearest to a place, −1 if none is within the `limit`, and its height over that [m].
+
+    They are told by the middle of their cell, normal and height over that, shape (k, 7). A plane goes on as far as a
+    cell's `width` from there.
+    """
+    least, best, height = limit, -1, 0.0
+    for j in range(len(planes)):
+        x, y, z, u, v, w, h = planes[j]
+        a, b, d = p[0] - x, p[1] - y, p[2] - z
+        off = a * u + b * v + d * w - h
+        a, b, d = a - off * u, b - off * v, d - off * w
+        if abs(off) < least and max(abs(a), abs(b), abs(d)) <= width:
+            least, best, height = abs(off), j, off
+    return best, height
 
 
 @njit(cache=True, nogil=True)
@@ -135,7 +151,8 @@ def _company_range(windows: Windows, off: FloatArray, far: BoolArray, begin: int
 @njit(cache=True, nogil=True)
 def _alone_range(cells: Cells, pending: BoolArray, begin: int, end: int, stray: BoolArray) -> None:
     near, at = np.empty(AROUND, np.int64), begin_sweep(cells, begin)
-    beside, wide = np.empty((2 * _SURROUNDINGS + 1) ** 3, np.int64), begin_sweep(cells, begin, _SURROUNDINGS)
+    wide = begin_sweep(cells, begin, _SURROUNDINGS)
+    runs = np.empty((wide.shape[1], 2), np.int64)
     for c in range(begin, end):
         if not holds_any(cells, c, pending):
             continue
@@ -146,9 +163,7 @@ def _alone_range(cells: Cells, pending: BoolArray, begin: int, end: int, stray: 
             if not pending[row] or _has_company(cells, cells.places[i], near, pending):
                 continue
             if around < 0:
-                around = 0
-                for j in beside[: cells_within(cells, c, _SURROUNDINGS, wide, beside)]:
-                    around += cells.begin[j + 1] - cells.begin[j]
+                around = count_in(runs[: runs_within(cells, c, _SURROUNDINGS, wide, runs)])
             stray[row] = around > FEWEST
 
 

@@ -42,21 +42,32 @@ def draw_in(windows: Windows, placed: Placed) -> BoolArray:
         placed: Where the points are; changed in place.
     """
     cells, few = windows.cells, np.zeros(len(placed.points), dtype=bool)
-    shown: FloatArray = np.concatenate((placed.points.take(cells.order, 0), placed.normal.take(cells.order, 0)), axis=1)
-    sums = np.concatenate((np.zeros((1, 3)), np.cumsum(cells.places, axis=0)))
-    run_chunked(lambda a, b: _rim_range(windows, (shown, sums), placed, few, a, b), len(cells.key))
+    told = _in_order(cells, placed)
+    run_chunked(lambda a, b: _rim_range(windows, told, placed, few, a, b), len(cells.key))
     return few
+
+
+@njit(cache=True, nogil=True)
+def _in_order(cells: Cells, placed: Placed) -> tuple[FloatArray, FloatArray]:
+    """Where the points are with their normals, (n, 6), and sums of those before each as they were measured, (n + 1, 3).
+
+    They are in the order of the cells.
+    """
+    count = len(cells.order)
+    shown, sums = np.empty((count, 6)), np.zeros((count + 1, 3))
+    for i in range(count):
+        row = cells.order[i]
+        for k in range(3):
+            shown[i, k], shown[i, 3 + k] = placed.points[row, k], placed.normal[row, k]
+            sums[i + 1, k] = sums[i, k] + cells.places[i, k]
+    return shown, sums
 
 
 @njit(cache=True, nogil=True)
 def _rim_range(
     windows: Windows, told: tuple[FloatArray, FloatArray], placed: Placed, few: BoolArray, begin: int, end: int
 ) -> None:
-    """As `draw_in`, of cells from `begin` to `end`.
-
-    What is told of the points, in the order of the cells, is where they are shown with their normals, shape (n, 6), and
-    the sums of those before each as they were measured, shape (n + 1, 3).
-    """
+    """As `draw_in`, of cells from `begin` to `end`; what is told of the points is `_in_order`."""
     (cells, sigma), (shown, sums) = windows[:2], told
     at, wide = begin_sweep(cells, begin), begin_sweep(cells, begin, _STRIP)
     runs, out, total, room = np.empty((wide.shape[1], 2), np.int64), np.empty(3), np.empty(4), np.empty((6, 0))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from gpdf_service.denoise.cells import AROUND, offset_of
 from gpdf_service.denoise.planes import SHEETS, Windows
+from gpdf_service.fields.tree import larger, lesser
 from gpdf_service.kernel_cache import lean
 from gpdf_service.types import FloatArray, IntArray
 
@@ -49,7 +50,7 @@ class Room(NamedTuple):
 
     Attributes:
         cast: The votes as they came, shape (n, `VOTE`).
-        votes: The heaviest first, shape (n, `VOTE`).
+        votes: The heaviest first, shape (`VOTE`, n).
         rank: Which of those that were cast they are, shape (n,).
         of: Which plane each is for, −1 for none, shape (n,).
         found: The planes, the heaviest first, shape (`KINDS`, `FOUND`).
@@ -84,7 +85,7 @@ def make_room(votes: int) -> Room:
     planes = np.empty((KINDS, FOUND)), np.empty((KINDS, KINDS)), np.zeros((KINDS, 10)), np.empty((KINDS, 10))
     points = np.empty((3, 3)), np.empty((3, MOST)), np.empty((KINDS + 1, MOST))
     slants, number = np.empty((KINDS, KINDS, 2)), np.empty(KINDS, np.int64)
-    told = np.empty((votes, VOTE)), np.empty((votes, VOTE)), np.empty(votes, np.int64), np.empty(votes, np.int64)
+    told = np.empty((votes, VOTE)), np.empty((VOTE, votes)), np.empty(votes, np.int64), np.empty(votes, np.int64)
     return Room(*told, *planes, *points, slants, number)
 
 
@@ -141,7 +142,7 @@ def _sort_votes(room: Room, count: int) -> None:
         rank[at] = i
     for i in range(count):
         for k in range(VOTE):
-            room.votes[i, k] = room.cast[rank[i], k]
+            room.votes[k, i] = room.cast[rank[i], k]
 
 
 @lean()
@@ -157,19 +158,14 @@ def cluster(room: Room, count: int, width: float, sigma: float) -> int:
     kinds = 0
     for i in range(count):
         if of[i] < 0 and kinds < KINDS:
-            for j in range(i, count):
-                if of[j] < 0 and _agrees(votes[i], votes[i, 8], votes[j]):
-                    of[j] = kinds
+            _give(room, count, (votes[0, i], votes[1, i], votes[2, i], votes[3, i]), votes[8, i], kinds)
             kinds += 1
-    _sum_votes(votes, count, of, found, kinds, sigma)
+    _sum_votes(room, count, kinds, sigma)
     _heaviest_first(found, kinds)
     of[:count] = -1
-    for j in range(count):
-        for i in range(kinds):
-            if _agrees(found[i], 0.0, votes[j]):
-                of[j] = i
-                break
-    _sum_votes(votes, count, of, found, kinds, sigma)
+    for i in range(kinds):
+        _give(room, count, (found[i, 0], found[i, 1], found[i, 2], found[i, 3]), 0.0, i)
+    _sum_votes(room, count, kinds, sigma)
     kinds = _without_empty(of[:count], found, kinds)
     _find_ends(room, count, kinds, width)
     return kinds
@@ -196,27 +192,30 @@ def _without_empty(of: IntArray, found: FloatArray, kinds: int) -> int:
 
 
 @lean()
-def _agrees(plane: FloatArray, turn: float, vote: FloatArray) -> bool:
-    """Whether a vote is for a plane whose direction is known to within `turn` [rad]."""
-    dot = plane[0] * vote[0] + plane[1] * vote[1] + plane[2] * vote[2]
-    off = vote[3] - plane[3] if dot > 0.0 else vote[3] + plane[3]
-    if abs(off) > vote[9]:
-        return False
-    return bool(1.0 - dot * dot <= (_ALIKE + 2.0 * sqrt(turn**2 + vote[8] ** 2)) ** 2)
+def _give(room: Room, count: int, plane: tuple[float, float, float, float], turn: float, kind: int) -> None:
+    """Give a plane whose direction is known to within `turn` [rad] those of the votes for it that are for none yet."""
+    (a, b, c, h), votes, of = plane, room.votes, room.of[:count]
+    x, y, z, height, error, most = votes[0], votes[1], votes[2], votes[3], votes[8], votes[9]
+    for j in range(len(of)):
+        dot = a * x[j] + b * y[j] + c * z[j]
+        off = height[j] - h if dot > 0.0 else height[j] + h
+        alike = 1.0 - dot * dot <= (_ALIKE + 2.0 * sqrt(turn * turn + error[j] * error[j])) ** 2
+        of[j] = kind if (of[j] < 0) & alike & (abs(off) <= most[j]) else of[j]
 
 
 @lean()
-def _sum_votes(votes: FloatArray, count: int, of: IntArray, found: FloatArray, kinds: int, sigma: float) -> None:
+def _sum_votes(room: Room, count: int, kinds: int, sigma: float) -> None:
     """Write the mean of the votes for each plane, which way round they are told by the heaviest.
 
     It goes through the mean of their middles, unless what the votes say of the cell itself is clearly another: their
     slopes are noisier than their middles, but see the surface bend. What noise explains of that is left out of it.
     """
+    found, of = room.found, room.of
     found[:kinds] = 0.0
     for j in range(count):
         if of[j] < 0:
             continue
-        plane, v = found[of[j]], votes[j]
+        plane, v = found[of[j]], room.cast[room.rank[j]]
         sign = 1.0 if plane[0] * v[0] + plane[1] * v[1] + plane[2] * v[2] >= 0.0 else -1.0
         for k in range(4):
             plane[k] += sign * v[4] * v[k]
@@ -258,15 +257,21 @@ def _find_ends(room: Room, count: int, kinds: int, width: float) -> None:
             slant = found[i, 0] * found[j, 0] + found[i, 1] * found[j, 1] + found[i, 2] * found[j, 2]
             if i == j or 1.0 - slant * slant < _ALIKE**2:
                 continue
-            least, most = 0.0, 0.0
-            for v in range(count):
-                if of[v] == i:
-                    beside = votes[v, 5] * found[j, 0] + votes[v, 6] * found[j, 1] + votes[v, 7] * found[j, 2]
-                    least, most = min(least, beside - found[j, 3]), max(most, beside - found[j, 3])
+            least, most = _spread(votes, of[:count], i, found[j])
             if -least <= _END * width and most > _END * width:
                 ends[i, j] = 1.0
             elif most <= _END * width and -least > _END * width:
                 ends[i, j] = -1.0
+
+
+@lean()
+def _spread(votes: FloatArray, of: IntArray, kind: int, plane: FloatArray) -> tuple[float, float]:
+    """How far under and over a `plane` the middles of the votes for another one lie at most [m]."""
+    (a, b, c, h), x, y, z, low, high = (plane[0], plane[1], plane[2], plane[3]), votes[5], votes[6], votes[7], 0.0, 0.0
+    for v in range(len(of)):
+        beside = x[v] * a + y[v] * b + z[v] * c - h if of[v] == kind else 0.0
+        low, high = lesser(low, beside), larger(high, beside)
+    return low, high
 
 
 @lean()

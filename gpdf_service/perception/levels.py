@@ -16,7 +16,15 @@ from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_beside, run_chunked, run_parallel
 from gpdf_service.perception.budget import KEPT_BYTES, LEVEL_BYTES, check_grid, give_back
 from gpdf_service.perception.cloud import Cloud, Rows, change_layers
-from gpdf_service.perception.footing import FLIGHT_RISE, bridged, flights, footing_reach, ridges, ridges_reach
+from gpdf_service.perception.footing import (
+    FLIGHT_RISE,
+    bridged,
+    flights,
+    footing_reach,
+    ridges,
+    ridges_reach,
+    rings_of,
+)
 from gpdf_service.perception.hidden import faces_reach, find_faces, hidden_reach, without_hidden
 from gpdf_service.perception.holes import (
     MAX_HOLE_RADIUS,
@@ -82,6 +90,8 @@ ALONE = 0.25
 """[m] A point with no other in the voxels of this width around its own is a reflection; even a thin cable has more."""
 BLOCK = 32
 """Cells a side of the blocks that the box of a sheet is made of: two metres of a room's."""
+PICKED = 0.4
+"""[-] Share of the cells of a cloud from which on all points are read: to pick one out takes as long as to read two."""
 TALLEST = 3.0
 """[m] Material higher than this over the ground is out of every body's reach."""
 
@@ -420,9 +430,23 @@ class _Others(NamedTuple):
     unlike: BoolArray
 
 
-def _columns_in(site: _Site, sheet: BoolArray, seen: HeightMap, cells: BoolArray) -> Columns:
-    """The points in some cells, but for strays and the ground of a `sheet`: these are in no cell."""
-    box, (rows, points) = window(cells, 0), site.cloud.part(seen, cells)
+def _read(site: _Site, cells: BoolArray) -> BoolArray:
+    """The cells, or all of their grid where most of the cloud is in them: then to pick out points costs more."""
+    return np.ones_like(cells) if np.count_nonzero(cells) > PICKED * site.cells.size else cells
+
+
+def _near_cells(high: FloatArray, width: float, config: PerceptionConfig) -> BoolArray:
+    """Cells whose points can tell a level anything, (nx, ny), by the `high` ground within `OVERLAP` of each [m].
+
+    No void is further from ground than `MAX_HOLE_RADIUS`, which is less, and no underside further than `widest_gap`
+    from what is over the ground there.
+    """
+    return widened(np.isfinite(high), rings_of(config.widest_gap, width))
+
+
+def _columns_in(site: _Site, sheet: BoolArray, seen: HeightMap, cells: BoolArray, near: BoolArray) -> Columns:
+    """The points in some cells `near` the ground, but for strays and the ground of a `sheet`: these are in no cell."""
+    box, (rows, points) = window(cells, 0), site.cloud.part(seen, _read(site, cells & near))
     cell, stray, ground = cells_within(points, seen, box), site.stray[rows], site.ground[rows]
     nodes = site.layers.grid_of(points), sheet, seen.state[box].size
     run_chunked(lambda a, b: take_out(points[a:b], stray[a:b], ground[a:b], *nodes, cell[a:b]), len(points))
@@ -450,12 +474,12 @@ def _find_others(site: _Site, sheet: BoolArray, seen: HeightMap, near: Nearest, 
     low, high, treads, rim = grid.around("span", reach, answer, seen.height, seen.state)
     beside = np.where(near.distance <= MAX_HOLE_RADIUS, near.height, np.float32(np.nan))
     own = grid.known["seen"].given[0], beside
-    asked = unseen_asks(grid, *own, width, site.config)
-    columns = _columns_in(site, sheet, seen, asked)
+    asked, within = unseen_asks(grid, *own, width, site.config), _near_cells(high, width, site.config)
+    columns = _columns_in(site, sheet, seen, asked, within)
     hidden = unseen_beneath(grid, columns, *own, width, site.config)
     given = *own, seen.height, low, high, treads, rim, hidden
     cells = grid.felt("voids", 0, *given, points=True)
-    box, cell, points, ground = columns if asked.all() else _columns_in(site, sheet, seen, cells)
+    box, cell, points, ground = columns if asked.all() else _columns_in(site, sheet, seen, cells, within)
     part, shown, z = cropped(seen, box), Nearest(near.distance[box], near.height[box]), points[:, 2]
     near_by, found = run_beside(
         partial(between, cell, z, under(low[box] - width), high[box] + TALLEST),
@@ -483,7 +507,7 @@ def _find_ledges_in(site: _Site, surface: HeightMap, held: _Others, asked: BoolA
     for box in boxes_of(asked, reach):
         outer, cells = grown(box, reach, shape), np.zeros(shape, dtype=bool)
         cells[grown(box, ground_reach(surface), shape)] = True
-        own, floor = rows_in(held.first, box, shape), site.cloud.chosen(surface, cells, site.ground)
+        own, floor = rows_in(held.first, box, shape), site.cloud.chosen(surface, _read(site, cells), site.ground)
         ledge[own] = find_ledges(surface, floor, held.points[own], site.config.max_step, site.noise, outer)
     return ledge
 

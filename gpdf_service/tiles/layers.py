@@ -342,7 +342,7 @@ Pairs = tuple[IntArray, IntArray]
 
 def connect(layers: Layers, keep: BoolArray, rise: float) -> Pairs:
     """Pairs of kept nodes in neighbouring cells with at most `rise` [m] a cell between them."""
-    own = layers.start, layers.shape, layers.height, keep
+    own = layers.columns, keep
     found = run_parallel(lambda k: pairs_at(*own, rise * APART[k], HALF[k]), range(len(HALF)))
     a, b = (np.concatenate(ends) for ends in zip(*found, strict=True))
     return a, b

@@ -315,16 +315,16 @@ def ends_at(columns: Columns, inside: BoolArray, beyond: BoolArray, max_step: fl
     """
     cell, start, (nx, ny), height, _ = columns
     end = np.zeros(len(cell), np.bool_)
-    for other in np.flatnonzero(beyond):
-        x, y = divmod(cell[other], ny)
+    for i in np.flatnonzero(inside):
+        x, y = divmod(cell[i], ny)
         for u in range(max(x - 1, 0), min(x + 2, nx)):
-            for i in range(start[u * ny + max(y - 1, 0)], start[u * ny + min(y + 2, ny)]):
-                if not inside[i] or cell[i] == cell[other] or abs(height[i] - height[other]) > max_step:
-                    continue
-                had = False
-                for j in range(start[cell[other]], start[cell[other] + 1]):
-                    had |= inside[j] and abs(height[i] - height[j]) <= max_step
-                end[i] |= not had
+            for there in range(u * ny + max(y - 1, 0), u * ny + min(y + 2, ny)):
+                some, had = False, False
+                for j in range(start[there], start[there + 1] if there != cell[i] else start[there]):
+                    near = abs(height[i] - height[j]) <= max_step
+                    some |= near & beyond[j]
+                    had |= near & inside[j]
+                end[i] |= some and not had
     return end
 
 

@@ -28,26 +28,26 @@ class Columns(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def pairs_at(
-    start: IntArray, shape: tuple[int, int], height: FloatArray, keep: BoolArray, most: float, offset: tuple[int, int]
-) -> tuple[IntArray, IntArray]:
+def pairs_at(columns: Columns, keep: BoolArray, most: float, offset: tuple[int, int]) -> tuple[IntArray, IntArray]:
     """Pairs of kept nodes (a, b), b's cell at the `offset` from a's, whose heights differ by `most` [m] at most."""
-    capacity, used = len(height) + 16, 0
+    (cell, start, (nx, ny), height, _), (dx, dy) = columns, offset
+    capacity, used, x = len(cell) + 16, 0, 0
     one, other = np.empty(capacity, INDEX), np.empty(capacity, INDEX)
-    dx, dy = offset
-    for x in range(max(0, -dx), min(shape[0], shape[0] - dx)):
-        for y in range(max(0, -dy), min(shape[1], shape[1] - dy)):
-            here, there = x * shape[1] + y, (x + dx) * shape[1] + y + dy
-            more = (start[here + 1] - start[here]) * (start[there + 1] - start[there])
-            if used + more > capacity:
-                capacity = 2 * capacity + more
-                one, other = longer(one, capacity), longer(other, capacity)
-            for a in range(start[here], start[here + 1] if more > 0 else 0):
-                if not keep[a]:
-                    continue
-                for b in range(start[there], start[there + 1]):  # written, and kept or not: a guess would be wrong
-                    one[used], other[used] = a, b
-                    used += int(keep[b] & (abs(height[a] - height[b]) <= most))
+    for a in range(len(cell)):
+        if not keep[a]:
+            continue
+        while cell[a] >= (x + 1) * ny:
+            x += 1
+        y = cell[a] - x * ny
+        if not (0 <= x + dx < nx and 0 <= y + dy < ny):
+            continue
+        begin, end = start[cell[a] + dx * ny + dy], start[cell[a] + dx * ny + dy + 1]
+        if used + end - begin > capacity:
+            capacity = 2 * capacity + end - begin
+            one, other = longer(one, capacity), longer(other, capacity)
+        for b in range(begin, end):  # written, and kept or not: a guess would be wrong
+            one[used], other[used] = a, b
+            used += int(keep[b] & (abs(height[a] - height[b]) <= most))
     return one[:used], other[:used]
 
 

@@ -6,13 +6,17 @@ from scipy.spatial import cKDTree
 
 from gpdf_service.denoise.cells import (
     AROUND,
-    are_nearer,
+    begin_among,
     begin_sweep,
-    cells_within,
+    cells_around,
     centre_of,
     look_around,
+    rows_around,
     runs_within,
+    some_of,
+    some_within,
     sort_into_cells,
+    spacing_told,
     sum_cells,
     sum_window,
 )
@@ -51,28 +55,50 @@ def test_a_sweep_that_begins_in_the_middle_finds_the_same_cells():
         np.testing.assert_array_equal(one, other)
 
 
-def test_cells_two_rings_off_are_those_whose_centres_are():
-    cells = sort_into_cells(cloud(np.random.default_rng(2)), 0.11)
+@pytest.mark.parametrize("share", [0.0, 0.2, 1.0])
+def test_some_cells_two_rings_off_are_those_whose_centres_are(share):
+    rng = np.random.default_rng(2)
+    cells = sort_into_cells(cloud(rng), 0.11)
+    some = some_of(cells, rng.uniform(size=len(cells.key)) < share)
     centres = np.array([centre_of(cells, c) for c in range(len(cells.key))])
-    beside, at = np.empty(125, np.int64), begin_sweep(cells, 0, 2)
-    for c, around in enumerate(cKDTree(centres).query_ball_point(centres, 2.5 * cells.width, p=np.inf)):
-        assert sorted(beside[: cells_within(cells, c, 2, at, beside)]) == sorted(around)
+    np.testing.assert_array_equal(some.middle, centres[some.cell])
+    beside, at = np.empty(125, np.int64), begin_among(some.key, cells, 0, 2)
+    off = np.abs(centres[:, None] - some.middle).max(axis=2)
+    for c in range(len(cells.key)):
+        found = beside[: some_within(some, cells.key[c], 2, at, beside)]
+        assert sorted(found) == np.flatnonzero(off[c] <= 2.5 * cells.width).tolist()
 
 
 def test_runs_hold_the_places_of_the_cells_within():
     cells = sort_into_cells(cloud(np.random.default_rng(2)), 0.11)
-    beside, at = np.empty(125, np.int64), begin_sweep(cells, 0, 2)
-    runs, other = np.empty((25, 2), np.int64), begin_sweep(cells, 0, 2)
-    for c in range(len(cells.key)):
-        held = [range(*cells.begin[j : j + 2]) for j in beside[: cells_within(cells, c, 2, at, beside)]]
-        found = [range(*run) for run in runs[: runs_within(cells, c, 2, other, runs)]]
+    centres = np.array([centre_of(cells, c) for c in range(len(cells.key))])
+    runs, at = np.empty((25, 2), np.int64), begin_sweep(cells, 0, 2)
+    for c, around in enumerate(cKDTree(centres).query_ball_point(centres, 2.5 * cells.width, p=np.inf)):
+        held = [range(*cells.begin[j : j + 2]) for j in sorted(around)]
+        found = [range(*run) for run in runs[: runs_within(cells, c, 2, at, runs)]]
         assert np.concatenate(found).tolist() == np.concatenate(held).tolist()
 
 
+@pytest.mark.parametrize("width", [0.02, 0.11, 0.6])
+@pytest.mark.parametrize("share", [0.0, 0.01, 1.0])
+def test_rows_around_some_points_are_those_of_the_cells_around_them(width, share):
+    rng = np.random.default_rng(3)
+    points = cloud(rng)
+    asked = rng.uniform(size=len(points)) < share
+    cells = sort_into_cells(points, width)
+    around = np.repeat(cells_around(cells, asked), np.diff(cells.begin))
+    np.testing.assert_array_equal(rows_around(points, asked, width), np.sort(cells.order[around]))
+
+
 @pytest.mark.parametrize("count", [2, 9, 300, 20_000])
-def test_cells_tell_the_spacing_from_a_larger_one(count):
+def test_cells_tell_the_spacing_or_that_they_are_too_narrow(count):
     points = np.random.default_rng(count).uniform(0, 1, (count, 3)) * [1.0, 1.0, 0.0]
     spacing = estimate_spacing(points)
-    cells = sort_into_cells(points, 2.0 * spacing)
-    assert are_nearer(cells, 1.001 * spacing)
-    assert not are_nearer(cells, 0.999 * spacing)
+    assert spacing_told(sort_into_cells(points, 2.0 * spacing), points) == spacing
+    assert np.isinf(spacing_told(sort_into_cells(points, 0.5 * spacing), points))
+
+
+def test_points_in_one_place_are_not_apart_and_one_point_is_not_apart_from_any():
+    points = np.ones((20, 3))
+    assert spacing_told(sort_into_cells(points, 0.1), points) == 0.0
+    assert spacing_told(sort_into_cells(points[:1], 0.1), points[:1]) == 0.0
