@@ -407,6 +407,16 @@ def test_a_noisy_scene_is_built_as_a_whole():
     assert scene.update(remove=[0]).drift == 0.0
 
 
+def test_a_noisy_scene_keeps_the_labels_of_its_strays():
+    """What denoising leaves out as a stray is no thing to the next version."""
+    noisy = random_room(np.random.default_rng(0), noise=0.05)
+    scene = gpdf.build_scene(noisy.points, noisy.ground)
+    assert not scene.perceived
+    assert (scene.ground == noisy.ground).all()
+    again = scene.update(remove=np.array([0]))
+    assert (again.ground == noisy.ground[1:]).all()
+
+
 def test_a_free_space_of_two_versions_ago_is_taken_over(office):
     scene = gpdf.build_scene(office.points, office.ground)
     scene.free_space("human")

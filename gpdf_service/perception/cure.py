@@ -48,7 +48,7 @@ class CuredGround(NamedTuple):
 
     Attributes:
         cured: The cloud without its noise.
-        ground: Which of its points are ground, shape (n,); a stray point is not.
+        ground: Which of its points are ground, shape (n,): the labels, where they were given. Else a stray point is not.
         as_it_was: Whether the cloud was clean enough to stay as it was.
         segmentation: What the ground of a clean cloud without labels was found from.
     """
@@ -142,7 +142,7 @@ def _cured(points: FloatArray, ground: BoolArray, noise: float, spacing: float) 
     return_explained(points, ~ground, ~ground, cured, spacing)
     return_explained(points, ground, ground, cured, spacing, _APART)
     _settle_stairs(points, ground, cured)
-    return CuredGround(_in_steps(cured), ground & ~cured.stray, as_it_was=False)
+    return CuredGround(_in_steps(cured), ground, as_it_was=False)
 
 
 def _found(points: FloatArray, noise: float, spacing: float, config: PerceptionConfig) -> CuredGround:
