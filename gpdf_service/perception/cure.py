@@ -48,7 +48,7 @@ class CuredGround(NamedTuple):
 
     Attributes:
         cured: The cloud without its noise.
-        ground: Which of its points are ground, shape (n,): the labels, where they were given. Else a stray point is not.
+        ground: Which of its points are ground, shape (n,): the labels, where they were given; else no stray point is.
         as_it_was: Whether the cloud was clean enough to stay as it was.
         segmentation: What the ground of a clean cloud without labels was found from.
     """
