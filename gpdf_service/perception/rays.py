@@ -12,14 +12,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import CloudError
 from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception.holes import MAX_HOLE_RADIUS
 from gpdf_service.tiles.boxes import widened
+from gpdf_service.tiles.nodes import components
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, Cells, HeightMap, cells_within, without
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -122,17 +121,13 @@ _CROSS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=bool)
 
 def _of_one_hole(surface: HeightMap, asked: BoolArray, cells: BoolArray, apart: float) -> BoolArray:
     """The `asked` cells that hang together with one of the `cells` over no step higher than `apart` [m], (nx, ny)."""
-    row = np.full(asked.shape, -1)
-    row[asked] = np.arange(np.count_nonzero(asked))
-    steepest, pairs = max(apart, surface.cell_width), []
+    number, steepest, pairs = np.arange(asked.size).reshape(asked.shape), max(apart, surface.cell_width), []
     for one, other in (((slice(1, None),), (slice(-1),)), ((..., slice(1, None)), (..., slice(-1)))):
         flat = np.abs(surface.height[one] - surface.height[other]) <= steepest  # never so where one is unknown
-        pairs.append(np.stack([row[one], row[other]])[:, flat & asked[one] & asked[other]])
-    ends = np.concatenate(pairs, axis=1)
-    graph = coo_array((np.ones(ends.shape[1], dtype=bool), tuple(ends)), shape=2 * (np.count_nonzero(asked),))
-    _, label = connected_components(graph, directed=False)
-    made = np.zeros_like(asked)
-    made[asked] = np.isin(label, label[cells[asked]])
+        pairs.append(np.stack([number[one][flat], number[other][flat]]))
+    a, b = np.concatenate(pairs, axis=1)
+    label = components(a, b, asked.ravel())
+    made: BoolArray = np.isin(label, label[cells.ravel()]).reshape(asked.shape)
     return made
 
 

@@ -16,6 +16,8 @@ DRIFT, TURNING = 0.003, np.radians(0.03)
 """[m] and [rad] Standard deviations of what a scanner's pose is off after a look, besides what it was before."""
 SPLIT = 0.1
 """[-] Of the rays at an edge whose beam is as wide that both sides send something back."""
+BESIDE = 4
+"""Rays beside one, of which one tells whether there is an edge; a look of no more has none."""
 PULSE = 1.0
 """[m] Two returns further apart than this are told apart by the scanner."""
 EDGE = 0.05
@@ -40,8 +42,10 @@ def between(_: Place, scan: Scan, rng: np.random.Generator) -> Scan:
     along, distance = _rays(scan)
     made, kept = distance.copy(), scan.ground.copy()
     for rows in _each(_looks(scan)):
-        near = cKDTree(along[rows]).query(along[rows], k=5)[1]
-        beside = rows[near[np.arange(len(rows)), rng.integers(1, 5, len(rows))]]
+        if len(rows) <= BESIDE:
+            continue
+        near = cKDTree(along[rows]).query(along[rows], k=BESIDE + 1)[1]
+        beside = rows[near[np.arange(len(rows)), rng.integers(1, BESIDE + 1, len(rows))]]
         gap = np.abs(distance[beside] - distance[rows])
         edge = (scan.kind[rows] != scan.kind[beside]) & (gap > EDGE) & (gap < PULSE)
         split = edge & (rng.random(len(rows)) < SPLIT)
