@@ -104,7 +104,6 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "planes at rims": (_P + "levels", "with_rims", _first),
     "heights at centres": (_P + "levels", "to_centres", _first),
     "treads beside a shadow guard": (_P + "levels", "between_treads", lambda _, asked, __: np.zeros_like(asked)),
-    "what is enclosed": (_P + "levels", "without_enclosed", _first),
     "what fronts hide": (_P + "levels", "without_hidden", _first),
     "filling of holes": (_P + "levels", "fill_holes", _first),
     "single empty cells": (_P + "holes", "_fill_gaps", lambda _, __, height, state, *___: (height, state)),

@@ -27,9 +27,7 @@ from gpdf_service.tiles.surface import (
     UNKNOWN,
     HeightMap,
     Nearest,
-    cropped,
     nearest_seen,
-    without,
 )
 from gpdf_service.tiles.told import Grid
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -425,27 +423,3 @@ def _plane_under(places: FloatArray, heights: FloatArray, cell_width: float) -> 
         if not on.any():
             break
     return plane, on.mean() >= PLANE_SHARE and (over < -cell_width).mean() <= 1.0 - RING_SHARE
-
-
-def without_enclosed(surface: HeightMap, low: BoolArray, grid: Grid) -> HeightMap:
-    """Take back inferred ground that material at ground level shuts off from all seen ground: a cupboard's inside.
-
-    Nobody has seen that it is hollow, so it is not called free. What is no wider than a gap is left: things around it
-    keep every body out, and the face of a step, which noise spreads over some cells of its top, does not have to.
-
-    Args:
-        surface: After `fill_holes`.
-        low: Cells with material that the lowest body cannot pass under, shape (nx, ny).
-        grid: What was asked of its cells.
-    """
-    name, given = "open to what was seen", (surface.height, surface.state, low)
-    again, parts = grid.felt(name, 1, *given), []
-    if again.any():
-        taken = grid.former[name].made[1] != surface.state if name in grid.former else np.zeros_like(low)
-        free = (surface.state != UNKNOWN) & ~low
-        box, label, shut = _pieces_near(free, surface.state == OBSERVED, again, taken)
-        wide = np.bincount(label.ravel(), minlength=len(shut)) > GAP_CELLS
-        part = without(cropped(surface, box), (wide & shut)[label])
-        parts.append((box, (part.height, part.state)))
-    height, state = grid.put(name, given, again, parts)
-    return replace(surface, height=height, state=state)

@@ -33,7 +33,6 @@ from gpdf_service.perception.holes import (
     find_rims,
     find_voids,
     standing,
-    without_enclosed,
 )
 from gpdf_service.perception.ledges import LEAST_OBSTACLE, find_ledges, ground_reach, ledge_reach, ledges_felt
 from gpdf_service.perception.limits import (
@@ -589,8 +588,8 @@ def complete(
 ) -> tuple[HeightMap, BoolArray]:
     """The ground with what its surroundings and the other points explain, and in which cells these guard an edge.
 
-    Holes are filled in the whole level, and what is enclosed hangs on all of it. What edges, faces and things that may
-    stand behind them make of a cell is decided by what is within a known reach of it.
+    Holes are filled in the whole level. What edges, faces and things that may stand behind them make of a cell is
+    decided by what is within a known reach of it.
 
     Args:
         grid: What was asked of its cells.
@@ -598,7 +597,7 @@ def complete(
         held: Says which other points are in a box of cells.
         voids: See `find_voids`.
         near: Where the ground was seen, `nearest_seen`.
-        site: Its rays tell what may stand on inferred ground where they are known; else what encloses it, and fronts.
+        site: Its rays tell what may stand on inferred ground where they are known; else fronts do.
     """
     config = site.config
 
@@ -608,14 +607,14 @@ def complete(
 
     def edges(
         box: Box, height: NDArray[np.float32], state: NDArray[np.uint8], lowest: FloatArray
-    ) -> tuple[BoolArray, BoolArray, BoolArray]:
+    ) -> tuple[BoolArray, BoolArray]:
         cell, z, _ = held(box)
         return guard_edges(HeightMap(seen.origin, seen.cell_width, height, state), lowest, cell, z, config)
 
     lowest, material, at_floor = grid.around("stood", 0, stood, near.height, points=True)
     filled = fill_holes(seen, grid, near, (material, at_floor), voids, config, site.noise)
     own = filled.height, filled.state, lowest
-    shut, stair, guarded = grid.around("edges", notch_reach(seen), edges, *own, points=True)
+    stair, guarded = grid.around("edges", notch_reach(seen), edges, *own, points=True)
     if site.rays is not None:
         return seen_by_rays(filled, site.rays, config, site.noise), guarded
 
@@ -630,9 +629,8 @@ def complete(
         part = without_hidden(HeightMap(seen.origin, seen.cell_width, height, state), lowest, face)
         return part.height, part.state
 
-    opened = without_enclosed(filled, shut, grid)
-    (face,) = grid.around("faces", faces_reach(seen), faces, opened.height, opened.state, stair, points=True)
-    height, state = grid.around("shown", hidden_reach(seen), shown, opened.height, opened.state, lowest, face)
+    (face,) = grid.around("faces", faces_reach(seen), faces, filled.height, filled.state, stair, points=True)
+    height, state = grid.around("shown", hidden_reach(seen), shown, *own, face)
     return replace(seen, height=height, state=state), guarded
 
 
@@ -667,11 +665,11 @@ def notch_reach(surface: HeightMap) -> int:
 
 def guard_edges(
     surface: HeightMap, lowest: FloatArray, cell: IntArray, z: FloatArray, config: PerceptionConfig
-) -> tuple[BoolArray, BoolArray, BoolArray]:
-    """Cells with material under the least headroom, those of stairs, and those where material guards an edge by itself.
+) -> tuple[BoolArray, BoolArray]:
+    """Cells of stairs, and those where material guards an edge by itself.
 
-    What is under a floor shuts nothing off. By itself guards only what the lowest body cannot pass under. The wall of a
-    drop does not; but what is seen below a shadow in a stair, with treads on either side, is the stair.
+    That does only what the lowest body cannot pass under. The wall of a drop does not; but what is seen below a shadow
+    in a stair, with treads on either side, is the stair.
 
     Args:
         surface: The ground.
@@ -685,12 +683,9 @@ def guard_edges(
     beside, foot = highest_around(high, 1) + config.min_headroom, lowest_around(low, reach)
     shut, stair = lowest <= beside, highest_around(high, reach) - foot > 2.0 * surface.cell_width
 
-    def held_over(rise: float) -> BoolArray:
-        return np.isfinite(extent_within(cell, z, (foot + rise).astype(np.float64), beside.astype(np.float64))[0])
-
-    shuts, guards = run_parallel(held_over, (-LEAST_OBSTACLE, LEAST_OBSTACLE))
-    bitten = shut & stair & ~known
-    return shut & shuts, stair, guards | between_treads(surface, bitten, config.stair_step)
+    over, beside = (foot + LEAST_OBSTACLE).astype(np.float64), beside.astype(np.float64)
+    guards = np.isfinite(extent_within(cell, z, over, beside)[0])
+    return stair, guards | between_treads(surface, shut & stair & ~known, config.stair_step)
 
 
 def within_reach(points: FloatArray, surface: HeightMap, box: Box = WHOLE) -> FloatArray:

@@ -7,14 +7,12 @@ from gpdf_service.clouds import read_cloud
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.perception import ObstacleKind, Scan, obstacles_of, segment_ground
-from gpdf_service.perception.holes import without_enclosed
 from gpdf_service.perception.ledges import LEAST_OBSTACLE, find_ledges, next_above
 from gpdf_service.perception.levels import GroundLevel, survey_levels, without_outliers
 from gpdf_service.perception.limits import step_and_slope
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.synthetic import SCENES, Box, World, ramp, random_room
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
-from gpdf_service.tiles.told import new_grid
 from gpdf_service.types import AGENTS, Status
 from tests.clients.two_storeys import make_house
 
@@ -126,18 +124,6 @@ def test_the_inside_of_a_cupboard_is_not_called_free():
     level = level_of(World((5.0, 5.0, 2.5), (Box((2.0, 2.0, 0.0), (3.0, 2.8, 1.8)),)))
     assert not level.surface.contains(np.array([[2.5, 2.4]])).any()
     assert level.surface.contains(np.array([[1.8, 2.4], [3.2, 2.4]])).all()
-
-
-@pytest.mark.parametrize(("wide", "stays"), [(1, True), (3, False)])
-def test_a_gap_between_seen_cells_is_not_shut_off_by_what_stands_around_it(wide, stays):
-    state, low = np.full((11, 11), OBSERVED, np.uint8), np.zeros((11, 11), dtype=bool)
-    inside = slice(4, 4 + wide)
-    low[3 : 5 + wide, 3 : 5 + wide] = True
-    state[inside, inside], low[inside, inside] = INFERRED, False
-    surface = HeightMap(np.zeros(2), 0.05, np.zeros((11, 11), np.float32), state)
-    made = without_enclosed(surface, low, new_grid(low.shape)).state
-    assert (made[inside, inside] == (INFERRED if stays else UNKNOWN)).all()
-    assert (made == state).sum() == (121 if stays else 121 - wide**2)
 
 
 def test_a_large_unseen_place_stays_unknown_and_stops_everybody():
