@@ -165,6 +165,15 @@ def test_a_kernel_is_compiled_for_numbers_and_not_for_each_that_stands_in_a_call
     assert (made[1], compiled[1]) == (7, 1)
 
 
+def test_a_kept_kernel_is_read_for_llvm_only_where_another_one_is_compiled_with_it(small, ask):
+    ask()
+    edit(small / "high.py", "2 * called", "3 * called")
+    assert ask()[:2] == [[33, 7, 8], [1, 0, 0]]
+    with (small / "kernel_cache.py").open("a") as file:
+        file.write("\n\ndef _never(source):\n    raise AssertionError\n\n\nll.parse_bitcode = _never\n")
+    assert ask()[:2] == [[33, 7, 8], [0, 0, 0]]
+
+
 @pytest.mark.parametrize("told", [True, False])
 def test_kernels_are_kept_where_numba_is_told_or_for_the_user_where_the_package_cannot_be_written_to(small, ask, told):
     if not told:

@@ -283,12 +283,11 @@ def _heights(surface: HeightMap, low: FloatArray, high: FloatArray, width: float
 
 def _told(space: FreeSpace, level: int, low: FloatArray, high: FloatArray, hidden: float) -> _Told:
     """What is told of the obstacle points of a level that are within reach of a grid from `low` to `high` [m]."""
-    found, box = space.obstacles[level], np.stack([low - space.reach, high + space.reach])
-    surface, agent = space.surfaces[level], space.agent
+    surface, agent, box = space.surfaces[level], space.agent, np.stack([low - space.reach, high + space.reach])
     room = max(LOWEST_BODY, least_headroom(surface, hidden)), agent.height, agent.cylinder.radius
     own = surface.arrays, (space.steps[level], space.slopes[level]), agent.max_step, room
-    row, cut, asks = _tell_points(found.points, found.kind, box, *own)
-    return _Told(found.points[row], cut, asks)
+    found = [_tell_points(one.points, one.kind, box, *own) for one in (space.standing[level], space.moving[level])]
+    return _Told(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
 @njit(cache=True, nogil=True)
@@ -300,8 +299,8 @@ def _tell_points(
     measured: tuple[FloatArray, FloatArray],
     max_step: float,
     room: tuple[float, float, float],
-) -> tuple[IntArray, NDArray[np.uint8], FloatArray]:
-    """Rows of the points in a box, the `Cut` of each, and what it asks; `measured` are steps [m] and slopes [rad].
+) -> tuple[FloatArray, NDArray[np.uint8], FloatArray]:
+    """The points in a box, the `Cut` of each, and what it asks; `measured` are steps [m] and slopes [rad].
 
     `room` is the headroom under which no body is led, the body's height, and its radius, within which it may stand on
     higher ground [m].
@@ -328,7 +327,7 @@ def _tell_points(
             asks[count] = steps[u, v] if told == Cut.STEP else slopes[u, v]
         row[count], cut[count] = i, told
         count += 1
-    return row[:count], cut[:count], asks[:count]
+    return points[row[:count]], cut[:count], asks[:count]
 
 
 @njit(cache=True, nogil=True)

@@ -17,7 +17,7 @@ from numba import njit
 from gpdf_service.kernel_cache import lean
 from gpdf_service.search.graph import Graph, Patch, Question, astar, edges_of, far_end
 from gpdf_service.search.landmarks import Landmarks
-from gpdf_service.search.layered import above, below
+from gpdf_service.search.layered import Layered, above, below
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 NARROW = 0.1
@@ -47,17 +47,8 @@ class Core:
     @property
     def clearance(self) -> FloatArray:
         """From the centre of each node that is left to the nearest obstacle [m], shape (k,)."""
-        made: FloatArray = self.links.clearance[self.node]
+        made: FloatArray = self.links.room[self.node]
         return made
-
-    def has(self, node: IntArray) -> BoolArray:
-        """Which nodes of the whole graph are left."""
-        made: BoolArray = self.node[np.minimum(self.number(node), len(self.node) - 1)] == node
-        return made
-
-    def number(self, node: IntArray) -> IntArray:
-        """The number here of nodes that are left."""
-        return np.searchsorted(self.node, node)
 
 
 class Links(NamedTuple):
@@ -67,17 +58,23 @@ class Links(NamedTuple):
         first: First edge of each node that stands, see `Graph`.
         other: Far end of each edge.
         patch: What is other, and nodes that were added.
-        place: Where each of these comes among those that stand, by their numbers: equal ones take turns by that.
-        clearance: From a node's centre to the nearest obstacle [m], shape (n,).
-        narrow: Whether it is free and narrow, shape (n,).
+        clearance: From the centre of a node that stands to the nearest obstacle [m].
+        added: The same of each of those that were added [m], and where it comes among those that stand, by their
+            numbers: equal ones take turns by that; shape (m, 2).
+        narrow: Whether a node is free and narrow, shape (n,).
     """
 
     first: IntArray
     other: IntArray
     patch: Patch
-    place: FloatArray
     clearance: FloatArray
+    added: FloatArray
     narrow: BoolArray
+
+    @property
+    def room(self) -> Layered:
+        """From the centre of each node to the nearest obstacle [m], shape (n,)."""
+        return Layered(self.clearance, self.added[:, 0], len(self.clearance))
 
 
 @lean()
@@ -100,8 +97,10 @@ _Turn = tuple[float, float, int]
 @lean()
 def _turn(links: Links, node: int) -> _Turn:
     """When a node is decided on: those nearest to obstacles come first."""
-    count = len(links.first) - 1
-    return links.clearance[node], float(node) if node < count else links.place[node - count], node
+    count = len(links.clearance)
+    if node < count:
+        return links.clearance[node], float(node), node
+    return links.added[node - count, 0], links.added[node - count, 1], node
 
 
 class Decided(NamedTuple):
@@ -117,7 +116,7 @@ Former = tuple[Core, IntArray]
 
 def links_of(graph: Graph, free: BoolArray, width: FloatArray, clearance: FloatArray) -> Links:
     """The links of a graph of leaves that are so wide [m]; all of shape (n,)."""
-    return Links(graph.first, below(graph.other), graph.patch, np.zeros(0), clearance, free & (width < NARROW))
+    return Links(graph.first, below(graph.other), graph.patch, clearance, np.zeros((0, 2)), free & (width < NARROW))
 
 
 def find_core(graph: Graph, free: BoolArray, links: Links, former: Former | None = None) -> Core:
@@ -129,74 +128,117 @@ def find_core(graph: Graph, free: BoolArray, links: Links, former: Former | None
         links: Of the graph.
         former: The version before; only what differs from it, and what that decides on, is decided again.
     """
-    made, asked = Decided(free.copy(), np.full(len(free), -1)), links.narrow
+    made, asked = Decided(free.copy(), np.full(len(free), -1, np.int32)), links.narrow
     if former is not None:
         asked = _carry(links, former[0].links, former[1], former[0].decided, made)
     return _decide(graph, links, made, np.flatnonzero(asked))
 
 
-def patch_core(
-    core: Core, graph: Graph, gone: IntArray, place: FloatArray, clearance: FloatArray, width: FloatArray
-) -> Core:
+def patch_core(core: Core, graph: Graph, gone: IntArray, added: FloatArray, width: FloatArray) -> Core:
     """The core of a graph with a patch: only what is in that, and what it decides on, is decided again.
 
     Args:
         core: Of what stands.
         graph: With the patch.
         gone: Nodes that are none any more.
-        place: Of the free leaves that were added, see `Links`, shape (m,).
-        clearance: Theirs [m], shape (m,).
+        added: Free leaves that were, see `Links`, shape (m, 2).
         width: Theirs [m], shape (m,).
     """
     was, (stays, up) = core.links, core.decided
-    made = Decided(np.append(stays, np.ones(len(place), dtype=bool)), np.append(up, np.full(len(place), -1)))
+    made = Decided(np.append(stays, np.ones(len(added), dtype=bool)), np.append(up, np.full(len(added), -1, np.int32)))
     made.stays[gone] = False
-    narrow = np.append(was.narrow, width < NARROW)
-    links = Links(was.first, was.other, graph.patch, place, np.append(was.clearance, clearance), narrow)
-    asked = np.zeros(len(narrow), dtype=bool)
+    links = was._replace(patch=graph.patch, added=added, narrow=np.append(was.narrow, width < NARROW))
+    asked = np.zeros(len(links.narrow), dtype=bool)
     _ask_near(links, graph.patch.node, asked)
-    return _decide(graph, links, made, np.flatnonzero(asked))
+    return _decide(graph, links, made, np.flatnonzero(asked), core)
 
 
-def _decide(graph: Graph, links: Links, made: Decided, asked: IntArray) -> Core:
-    """Decide on the nodes that are `asked`, ascending, and write what is `made` of them."""
-    count, clearance = len(links.first) - 1, links.clearance[asked]
-    place = np.append(asked[asked < count], links.place[asked[asked >= count] - count])
-    _thin(links, asked[np.lexsort((place, clearance))], made)
-    node = np.flatnonzero(made.stays)
+def _decide(graph: Graph, links: Links, made: Decided, asked: IntArray, stand: Core | None = None) -> Core:
+    """Decide on the nodes that are `asked`, ascending, and write what is `made` of them.
+
+    Edges that are as in the core of what stands, if the graph has a patch, are taken from that.
+    """
+    count = len(links.clearance)
+    place = np.append(asked[asked < count], links.added[asked[asked >= count] - count, 1])
+    _thin(links, asked[np.lexsort((place, links.room[asked]))], made)
+    node: IntArray = np.flatnonzero(made.stays)
+    was = _NO_ROWS
+    if stand is not None:
+        kept, changed = stand.graph, np.flatnonzero(made.stays[:count] != stand.decided.stays)
+        was = stand.node, changed, kept.first, (stand.edge, below(kept.other), below(kept.via), below(kept.cost))
     measures = [(below(rows), above(rows)) for rows in (graph.via, graph.cost)]
-    edge, begin, far, via, cost = _left(links, made.stays, node, *measures)
-    left = Graph(graph.position[node], graph.level[node], begin, far, via, cost, graph.component[node])
+    first, (edge, far, via, cost) = _left(links, made.stays, node, was, *measures)
+    left = Graph(graph.position[node], graph.level[node], first, far, via, cost, graph.component[node])
     return Core(node, edge, left, links, made)
 
 
 _Both = tuple[FloatArray, FloatArray]
 """Of edges that stand, and of those of a patch."""
+_Edges = tuple[IntArray, IntArray, FloatArray, FloatArray]
+"""Of edges between nodes that stay: their numbers, far ends, crossings and costs."""
+_Rows = tuple[IntArray, IntArray, IntArray, _Edges]
+"""What stayed before a patch, ascending, what stays since or does no more, the first edge of each of these, and all."""
+_NONE = np.zeros(0, np.int64)
+_NO_ROWS: _Rows = _NONE, _NONE, _NONE, (_NONE, _NONE, np.zeros((0, 2)), np.zeros(0))
 
 
 @njit(cache=True, nogil=True)
 def _left(
-    links: Links, stays: BoolArray, node: IntArray, via: _Both, cost: _Both
-) -> tuple[IntArray, IntArray, IntArray, FloatArray, FloatArray]:
-    """Edges between nodes that stay: their numbers, where those of each node begin, far ends, crossings and costs."""
-    number, count, standing = np.empty(len(stays), np.int64), 0, len(links.other)
+    links: Links, stays: BoolArray, node: IntArray, was: _Rows, via: _Both, cost: _Both
+) -> tuple[IntArray, _Edges]:
+    """Where the edges of each node that stays begin, and those between such nodes."""
+    number, standing, count = np.empty(len(stays), np.int32), len(links.other), 0
+    (kept, changed, begin_was, (edge_was, far_was, via_was, cost_was)) = was
+    same, row = _rows_that_stand(links, kept, changed), np.full(len(node), -1)
+    now, r = np.full(len(kept), -1), 0
     for k in range(len(node)):
         number[node[k]] = k
-        begin, end = _edges(links, node[k])
+        while r < len(kept) and kept[r] < node[k]:
+            r += 1
+        if r < len(kept) and kept[r] == node[k]:
+            now[r], row[k] = k, r if same[r] else -1
+        begin, end = (begin_was[r], begin_was[r + 1]) if row[k] >= 0 else _edges(links, node[k])
         count += end - begin
     edge, first, far = np.empty(count, np.int64), np.zeros(len(node) + 1, np.int64), np.empty(count, np.int64)
     crossing, costs, count = np.empty((count, 2)), np.empty(count), 0
     for k in range(len(node)):
-        begin, end = _edges(links, node[k])
-        for e in range(begin, end):
-            near = _far(links, e)
-            if stays[near]:
-                edge[count], far[count], row = e, number[near], e if e < standing else e - standing
-                at, costs[count] = (via[0][row], cost[0][row]) if e < standing else (via[1][row], cost[1][row])
-                crossing[count, 0], crossing[count, 1] = at[0], at[1]
+        if row[k] >= 0:
+            for e in range(begin_was[row[k]], begin_was[row[k] + 1]):
+                edge[count], far[count], costs[count] = edge_was[e], now[far_was[e]], cost_was[e]
+                crossing[count, 0], crossing[count, 1] = via_was[e, 0], via_was[e, 1]
                 count += 1
+        else:
+            begin, end = _edges(links, node[k])
+            for e in range(begin, end):
+                near = _far(links, e)
+                if stays[near]:
+                    edge[count], far[count], i = e, number[near], e if e < standing else e - standing
+                    at, costs[count] = (via[0][i], cost[0][i]) if e < standing else (via[1][i], cost[1][i])
+                    crossing[count, 0], crossing[count, 1] = at[0], at[1]
+                    count += 1
         first[k + 1] = count
-    return edge[:count].copy(), first, far[:count].copy(), crossing[:count].copy(), costs[:count].copy()
+    return first, (edge[:count].copy(), far[:count].copy(), crossing[:count].copy(), costs[:count].copy())
+
+
+@njit(cache=True, nogil=True)
+def _rows_that_stand(links: Links, kept: IntArray, changed: IntArray) -> BoolArray:
+    """Which of the nodes that were kept are in no patch, and beside none that changed."""
+    same = np.ones(len(kept), np.bool_)
+    for node in links.patch.node:
+        _tell_other(kept, node, same)
+    for node in changed:
+        begin, end = _edges(links, node)
+        for e in range(begin, end):
+            _tell_other(kept, _far(links, e), same)
+    return same
+
+
+@lean()
+def _tell_other(kept: IntArray, node: int, same: BoolArray) -> None:
+    """Mark a node as not the same, if it is among those that were kept."""
+    row = np.searchsorted(kept, node)
+    if row < len(kept) and kept[row] == node:
+        same[row] = False
 
 
 @njit(cache=True, nogil=True)

@@ -112,6 +112,13 @@ class FreeSpace:
         return int(standing[row] if row < len(standing) else self.moving[level].kind[row - len(standing)])
 
     @property
+    def gone(self) -> IntArray:
+        """Nodes of what stands that are none any more, as something moves there, ascending."""
+        split = zip(self.quadtrees, self.offsets, strict=True)
+        rows = [tree.gone + begin for tree, begin in split if isinstance(tree, SplitQuadtree)]
+        return np.concatenate([np.zeros(0, np.int64), *rows])
+
+    @property
     def obstacles(self) -> tuple[Obstacles, ...]:
         """What stops the body: all that stands, and then all that moves."""
         both = zip(self.standing, self.moving, strict=True)

@@ -29,10 +29,10 @@ class Layered:
         rows = np.asarray(rows)
         over = rows >= self.start
         if not over.any():
-            return self.below[rows]
+            return self.below.take(rows, axis=0)  # a third of the time of an index
         if not rows.ndim:
             return self.above[rows - self.start]
-        made = self.below[np.where(over, 0, rows)]
+        made = self.below.take(np.where(over, 0, rows), axis=0)
         made[over] = self.above[rows[over] - self.start]
         return made
 

@@ -117,7 +117,7 @@ def _part(level: GroundLevel, points: FloatArray, box: Box) -> GroundLevel:
 def _connected(space: FreeSpace, split: list[tuple[int, SplitQuadtree]]) -> FreeSpace:
     """The space without the leaves that are gone in graph and core, and with the fresh ones of these levels."""
     graph = space.graph
-    gone = np.concatenate([tree.gone + space.offsets[i] for i, tree in split])
+    gone = space.gone
     lost, found, room = around(graph, gone), [], []
     for i, tree in split:
         own = lost.ring[graph.level[lost.ring] == i] - space.offsets[i]
@@ -136,7 +136,8 @@ def _connected(space: FreeSpace, split: list[tuple[int, SplitQuadtree]]) -> Free
     graph = patched(graph, lost, Nodes(position, level), edges, np.concatenate(room), space.radius)
     within = np.concatenate([tree.within_gone + space.offsets[i] for i, tree in split])
     place = within + np.arange(1, len(within) + 1) / (len(within) + 1)  # in the order of a quadtree of all
-    return replace(space, graph=graph, core=patch_core(space.core, graph, gone, place, clearance, 2.0 * half_size))
+    added = np.column_stack([clearance, place])
+    return replace(space, graph=graph, core=patch_core(space.core, graph, gone, added, 2.0 * half_size))
 
 
 def _portals(space: FreeSpace, lost: Around) -> Iterator[tuple[Edges, FloatArray]]:

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields import Tree, find_nearest
-from gpdf_service.fields.traversal import nearest_along
+from gpdf_service.fields.traversal import nearest_along, nearest_at
 from gpdf_service.fields.tree import NO_POINTS, Place, Scratch, make_scratch
 from gpdf_service.kernel_cache import lean
 from gpdf_service.types import FloatArray, IntArray
@@ -29,7 +29,7 @@ def distance_at(places: Places, x: Place, scratch: Scratch) -> float:
     distance = nearest_along(places.standing, x, scratch)[0]
     if len(places.moving.begin) < 2:
         return float(distance)
-    return float(min(distance, nearest_along(places.moving, x, scratch)[0]))
+    return float(min(distance, nearest_at(places.moving, x, scratch)[0]))  # the next one starts at what stands
 
 
 @lean()
@@ -40,7 +40,7 @@ def nearest_of(places: Places, x: Place, scratch: Scratch) -> tuple[float, int]:
         distance, at = nearest_along(places.standing, x, scratch)
         row = places.standing.order[at]
     if len(places.moving.begin) >= 2:
-        near, at = nearest_along(places.moving, x, scratch)
+        near, at = nearest_at(places.moving, x, scratch)
         if row < 0 or near < distance:
             distance, row = near, len(places.standing.points) + places.moving.order[at]
     return distance, row

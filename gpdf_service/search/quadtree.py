@@ -182,7 +182,7 @@ def build_quadtree(surface: HeightMap, obstacles: Tree, radius: float) -> Quadtr
     return _grow(nothing, surface, obstacles, radius, None, np.zeros(surface.state.shape, dtype=bool))
 
 
-_ROUNDING = 1e-9
+ROUNDING = 1e-9
 """[m] Far more than two ways to compute a distance differ by, far less than matters."""
 
 
@@ -262,7 +262,7 @@ def _split(
         leaf = first >= 0 and size_was[first] == n
         split, copied = False, False
         if first >= 0:
-            reach = (clearance_was[first] if leaf else radius + half_diagonal) + _ROUNDING
+            reach = (clearance_was[first] if leaf else radius + half_diagonal) + ROUNDING
             if nearest <= reach:
                 nearest = nearest_at(places, place_of(x), scratch)[0]
             split = not leaf and nearest > reach

@@ -15,7 +15,7 @@ from gpdf_service.fields.traversal import nearest_at
 from gpdf_service.fields.tree import make_scratch, place_of
 from gpdf_service.search.layered import Layered
 from gpdf_service.search.places import Places, distance_at
-from gpdf_service.search.quadtree import Quadtree, is_split, state_of
+from gpdf_service.search.quadtree import ROUNDING, Quadtree, is_split, state_of
 from gpdf_service.tiles import HeightMap
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -179,26 +179,32 @@ def _touched(
     """See `split_again`; down from the root, where something may be near enough."""
     (clearance, free, whole, code), (origin, width, _, radius) = leaves, measures
     found, scratch, x = [0 for _ in range(0)], make_scratch(), np.empty(2)
-    stack = [(0, 0, side, 0, len(code))]
+    stack = [(0, 0, side, 0, len(code), -np.inf)]
     while len(stack) > 0:
-        i, j, n, first, last = stack.pop()
-        x[0], x[1] = origin[0] + (i + 0.5 * n) * width, origin[1] + (j + 0.5 * n) * width
-        half_diagonal = 0.5 * sqrt(2.0) * n * width
-        near = nearest_at(places.moving, place_of(x), scratch)[0]
-        if near - half_diagonal >= max(FELT * radius, radius + half_diagonal):
-            continue
-        if last - first > 1:
-            h, end = n // 2, last
-            for k in range(3, -1, -1):
-                begin = first + np.searchsorted(code[first:last], code[first] + k * h * h)
-                stack.append((i + (k >> 1) * h, j + (k & 1) * h, h, begin, end))
-                end = begin
-        elif free[first]:
-            reach = min(clearance[first], max(FELT * radius, radius + half_diagonal))
-            if not whole[first]:  # what proves its edges are obstacles within the radius of places in it
+        i, j, n, first, last, near = stack.pop()  # what moves is as near as that, at least
+        half_diagonal, is_leaf = 0.5 * sqrt(2.0) * n * width, last - first == 1
+        felt = max(FELT * radius, radius + half_diagonal)
+        reach = felt + half_diagonal
+        if is_leaf:
+            reach = min(clearance[first], felt) if free[first] else -np.inf
+            if (
+                free[first] and not whole[first]
+            ):  # what proves its edges are obstacles within the radius of places in it
                 reach = max(reach, radius + 2.2 * half_diagonal)
-            if near < reach:
-                found.append(first)
+        if near >= reach:
+            continue
+        x[0], x[1] = origin[0] + (i + 0.5 * n) * width, origin[1] + (j + 0.5 * n) * width
+        near = nearest_at(places.moving, place_of(x), scratch)[0]
+        if near >= reach:
+            continue
+        if is_leaf:
+            found.append(first)
+            continue
+        h, end = n // 2, last
+        for k in range(3, -1, -1):
+            begin = first + np.searchsorted(code[first:last], code[first] + k * h * h)
+            stack.append((i + (k >> 1) * h, j + (k & 1) * h, h, begin, end, near - 0.5 * half_diagonal - ROUNDING))
+            end = begin
     return np.sort(np.array(found))
 
 
@@ -217,6 +223,9 @@ def _split_leaves(
             i, j, n = stack.pop()
             x[0], x[1] = origin[0] + (i + 0.5 * n) * width, origin[1] + (j + 0.5 * n) * width
             half_diagonal = 0.5 * sqrt(2.0) * n * width
+            near = nearest_at(places.moving, place_of(x), scratch)[0]
+            if near + half_diagonal < radius:
+                continue
             distance = distance_at(places, place_of(x), scratch)
             if is_split(distance, half_diagonal, radius, n):
                 h = n // 2

@@ -22,12 +22,13 @@ from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.kernel_cache import lean
 from gpdf_service.perception import ObstacleKind
 from gpdf_service.search.boxed import boxed
+from gpdf_service.search.core import Core
 from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.graph import Edges, Graph, assemble
 from gpdf_service.search.landmarks import find_landmarks
 from gpdf_service.search.layered import below
 from gpdf_service.search.places import Places, nearest_of
-from gpdf_service.search.resplit import FELT
+from gpdf_service.search.resplit import FELT, is_among
 from gpdf_service.search.steps import NOTICED_STEP, is_stepped
 from gpdf_service.tiles.surface import UNKNOWN, Cells, cell_of
 from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
@@ -256,19 +257,29 @@ def way_steps(
 
 
 class Priced(NamedTuple):
-    """What a space's part of ways was priced by, and at what.
+    """What all ways were priced by, and at what: nodes and edges are told by keys that ascend, see `_keys`.
 
     Attributes:
-        room: From each node of its core to the nearest obstacle of either space [m], shape (k,).
-        unseen: Whether that is ground which nobody has seen, shape (k,).
-        edge: Edges of the whole graph that lead from a node to one with a higher number, ascending, shape (e,).
+        node: Key of each node of the graph, shape (k,).
+        leaf: The node of the other space whose leaf holds it, −1 for none, shape (k,).
+        room: From it to the nearest obstacle of either space [m], shape (k,).
+        unseen: Whether that of its own space is ground which nobody has seen, shape (k,).
+        edge: Key of each edge, shape (e,): of both spaces, and then of the doors between them.
         seconds: What each of them costs.
     """
 
+    node: IntArray
+    leaf: IntArray
     room: FloatArray
     unseen: BoolArray
     edge: IntArray
     seconds: FloatArray
+
+
+_NONE = np.zeros(0, np.int64)
+_NOTHING = Priced(_NONE, _NONE, np.zeros(0), np.zeros(0, dtype=bool), _NONE, np.zeros(0))
+_APART = 1 << 40
+"""[-] Keys of the next space's nodes and edges are so much higher: no graph has as many."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,14 +291,14 @@ class Ways:
         prefer: What one wants of a way.
         graph: The cores of both, that of the level ground last; `cost` is in seconds.
         rate: Least seconds that a metre costs.
-        priced: What each space's part costs.
+        priced: What it was priced by.
     """
 
     spaces: tuple[FreeSpace, ...]
     prefer: Prefer
     graph: Graph
     rate: float
-    priced: tuple[Priced, ...]
+    priced: Priced
 
     @property
     def first_level_node(self) -> int:
@@ -310,54 +321,67 @@ def find_ways(able: FreeSpace, level: FreeSpace | None, prefer: Prefer, stand: W
     spaces = (able,) if level is None else (able, level)
     if stand is not None and all(now.core is was.core for now, was in zip(spaces, stand.spaces, strict=True)):
         return replace(stand, spaces=spaces)
-    rooms, count = [space.core.clearance for space in spaces], len(able.core.node)
-    doors, at = np.zeros((0, 2), np.int64), np.zeros((0, 2))
-    if level is not None:
-        doors, at = _doors(able, level, rooms[1])
-        rooms[0] = np.minimum(rooms[0], _room_at(level, able.core.graph))
-    edges, priced = list[Edges](), list[Priced]()
-    for k, (space, room) in enumerate(zip(spaces, rooms, strict=True)):
-        before = None if stand is None else (stand.priced[k], stand.spaces[k].core.node)
-        (ends, via), made = _price_space(able, space, room, prefer, before)
-        edges.append((ends + k * count, via))
-        priced.append(made)
-    edges.append((doors + np.array([0, count]), at))
     position, on = (
         np.concatenate([getattr(space.core.graph, key) for space in spaces]) for key in ("position", "level")
     )
-    room, unseen = np.concatenate(rooms), np.concatenate([made.unseen for made in priced])
-    through = _seconds(able, (position, on, room, unseen), edges[-1], prefer) + CHANGE
-    pairs, via = (np.concatenate(parts) for parts in zip(*edges, strict=True))
-    graph = assemble(position, on, (pairs, via), np.concatenate([*(made.seconds for made in priced), through]))
+    was, node = _NOTHING if stand is None else stand.priced, _keys([space.core.node for space in spaces])
+    row = _rows_among(node, was.node)
+    leaf, unseen, room = _price_nodes(spaces, (position, on), was, row)
+    found = [_edges_of(space.core, k * len(able.core.node)) for k, space in enumerate(spaces)]
+    if level is not None:
+        found.append(_doors(able, level, leaf, room, position))
+    numbers, pairs, via = zip(*found, strict=True)
+    edge, edges = _keys(numbers), (np.concatenate(pairs), np.concatenate(via))
+    known, felt = _rows_among(edge, was.edge), row < 0
+    felt[~felt] = room[~felt] != was.room[row[~felt]]
+    seconds, dear = np.empty(len(edge)), (known < 0) | felt[edges[0][:, 0]] | felt[edges[0][:, 1]]
+    seconds[~dear] = was.seconds[known[~dear]]
+    asked = edges[0][dear], edges[1][dear]
+    through = CHANGE * (edge[dear] >= len(spaces) * _APART)
+    seconds[dear] = _seconds(able, (position, on, room, unseen), asked, prefer) + through
+    graph = assemble(position, on, edges, seconds)
     if stand is None:
         landmarks = find_landmarks(graph.first, below(graph.other), below(graph.cost), below(graph.component))
         graph = replace(graph, landmarks=landmarks)
-    return Ways(spaces, prefer, graph, float(prices(able.agent, prefer)[LENGTH]), tuple(priced))
+    priced = Priced(node, leaf, room, unseen, edge, seconds)
+    return Ways(spaces, prefer, graph, float(prices(able.agent, prefer)[LENGTH]), priced)
 
 
-def _price_space(
-    able: FreeSpace, space: FreeSpace, room: FloatArray, prefer: Prefer, before: tuple[Priced, IntArray] | None
-) -> tuple[Edges, Priced]:
-    """Each edge of a space's core once, and what it costs; `before` are what stands and the nodes of its core."""
-    core, graph = space.core, space.core.graph
-    row, other = np.repeat(np.arange(len(room)), np.diff(graph.first)), below(graph.other)
-    once = row < other
-    edge, edges = core.edge[once], (np.column_stack([row[once], other[once]]), below(graph.via)[once])
-    unseen, seconds = np.zeros(len(room), dtype=bool), np.empty(len(edge))
-    new, dear = np.ones(len(room), dtype=bool), np.ones(len(edge), dtype=bool)
-    if before is not None:
-        was, node = before
-        row = _rows_among(core.node, node)
-        new = row < 0
-        unseen[~new] = was.unseen[row[~new]]
-        felt = new | (room != was.room[row])
-        row = _rows_among(edge, was.edge)
-        dear = (row < 0) | felt[edges[0]].any(axis=1)
-        seconds[~dear] = was.seconds[row[~dear]]
-    unseen[new] = _unseen(space, new)[new]
-    nodes, asked = (below(graph.position), below(graph.level), room, unseen), (edges[0][dear], edges[1][dear])
-    seconds[dear] = _seconds(able, nodes, asked, prefer)
-    return edges, Priced(room, unseen, edge, seconds)
+def _price_nodes(
+    spaces: tuple[FreeSpace, ...], places: tuple[FloatArray, IntArray], was: Priced, row: IntArray
+) -> tuple[IntArray, BoolArray, FloatArray]:
+    """The leaf of the other space, what is unseen, and the room of each node: see `Priced`.
+
+    The nodes are at these places in plan, (k, 2) [m], and levels (k,); `row` says which of those that were it is, −1
+    for none, and what is told of that stands.
+    """
+    (position, on), first = places, [0, len(spaces[0].core.node), len(row)]
+    room = np.concatenate([space.core.clearance for space in spaces])
+    fresh, leaf, unseen = row < 0, np.full(len(row), -1), np.zeros(len(row), dtype=bool)
+    leaf[~fresh], unseen[~fresh] = was.leaf[row[~fresh]], was.unseen[row[~fresh]]
+    for space, other, begin, end in zip(spaces, spaces[::-1], first, first[1:], strict=False):
+        new = begin + np.flatnonzero(fresh[begin:end])
+        unseen[new] = _unseen(space, position[new], on[new], room[new])
+        if other is not space:
+            gone = begin + np.flatnonzero(fresh[begin:end] | is_among(leaf[begin:end], other.gone))
+            leaf[gone] = _leaf_at(other, position[gone], on[gone])
+    if len(spaces) > 1:
+        up = leaf[: first[1]]
+        room[: first[1]] = np.minimum(room[: first[1]], np.where(up >= 0, spaces[1].core.links.room[up], 0.0))
+    return leaf, unseen, room
+
+
+def _keys(numbers: Sequence[IntArray]) -> IntArray:
+    """Numbers of nodes, or of edges, of one space after the other: all ascend, and are the same whatever moves."""
+    return np.concatenate([number + k * _APART for k, number in enumerate(numbers)])
+
+
+def _edges_of(core: Core, first: int) -> tuple[IntArray, IntArray, FloatArray]:
+    """Each edge of a core once: its number, its ends as nodes from the `first` on, and where it crosses."""
+    row, other = np.repeat(np.arange(len(core.node)), np.diff(core.graph.first)), below(core.graph.other)
+    once = np.flatnonzero(row < other)
+    pairs = first + np.column_stack([row[once], other[once]])
+    return core.edge[once], pairs, below(core.graph.via).take(once, axis=0)
 
 
 def _rows_among(values: IntArray, others: IntArray) -> IntArray:
@@ -385,33 +409,29 @@ def _leaf_at(space: FreeSpace, position: FloatArray, level: IntArray) -> IntArra
     return made
 
 
-def _room_at(space: FreeSpace, graph: Graph) -> FloatArray:
-    """Distance to the nearest obstacle of a space at another one's nodes [m], to the size of its leaf there."""
-    leaf = _leaf_at(space, below(graph.position), below(graph.level))
-    return np.where(leaf >= 0, space.core.links.clearance[leaf], 0.0)
+def _doors(
+    able: FreeSpace, level: FreeSpace, leaf: IntArray, room: FloatArray, position: FloatArray
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Where one gets from level ground to where steps are: level leaves, pairs of nodes (k, 2), and where [m].
 
-
-def _doors(able: FreeSpace, level: FreeSpace, room: FloatArray) -> Edges:
-    """Where one gets from level ground to where steps are: pairs of an able and a level node (k, 2), and where [m].
-
-    Only leaves at the border of the level ground are such, whose own leaf in the able space is wholly free.
+    Only leaves at the border of the level ground are such, whose own `leaf` in the able space is wholly free.
     """
-    near = np.flatnonzero(room < level.radius + BORDER)
-    position, on = below(level.core.graph.position)[near], below(level.core.graph.level)[near]
-    leaf = _leaf_at(able, position, on)
-    good = (leaf >= 0) & able.core.has(leaf)
-    good[good] = _of_leaves(able, "whole", leaf[good], on[good])
-    return np.column_stack([able.core.number(leaf[good]), near[good]]), position[good]
+    count = len(able.core.node)
+    node = count + np.flatnonzero(room[count:] < level.radius + BORDER)
+    to = _rows_among(leaf[node], able.core.node)
+    good = to >= 0
+    good[good] = _of_leaves(able, "whole", leaf[node[good]], below(able.core.graph.level)[to[good]])
+    node, to = node[good], to[good]
+    return level.core.node[node - count], np.column_stack([to, node]), position[node]
 
 
-def _unseen(space: FreeSpace, asked: BoolArray) -> BoolArray:
-    """Whether the nearest obstacle of each node of its core that is `asked` is ground which nobody has seen, (k,)."""
-    core, one = space.core, np.zeros(len(asked), dtype=bool)
-    tight = asked & (core.clearance < space.reach + space.agent.disc_radius)
+def _unseen(space: FreeSpace, position: FloatArray, on: IntArray, room: FloatArray) -> BoolArray:
+    """Whether the nearest obstacle of nodes with so much room [m] is ground which nobody has seen, if that is near."""
+    one, tight = np.zeros(len(room), dtype=bool), room < space.reach + space.agent.disc_radius
     for level in range(len(space.trees)):
-        here = np.flatnonzero(tight & (below(core.graph.level) == level))
+        here = np.flatnonzero(tight & (on == level))
         if len(here):
-            one[here] = space.clearance(level, below(core.graph.position)[here])[1] == ObstacleKind.UNKNOWN
+            one[here] = space.clearance(level, position[here])[1] == ObstacleKind.UNKNOWN
     return one
 
 

@@ -156,7 +156,7 @@ def test_headroom_is_told_over_the_ground_that_stops_the_body_and_only_where_a_l
     points = np.array([[1.05, 0.5, 2.2], [0.5, 0.5, 1.5], [0.5, 0.5, 2.1], [0.5, 0.5, 0.1]])  # above the floor
     kind, flat = np.full(len(points), int(ObstacleKind.MATERIAL), np.uint8), np.zeros(height.shape)
     box, room = np.array([[0.0, 0.0], [2.0, 1.0]]), (0.115, 2.0, 0.25)
-    row, cut, asks = no_path._tell_points(points, kind, box, ground, (flat, flat), 0.37, room)
-    assert row.tolist() == [0, 1, 2, 3]
+    found, cut, asks = no_path._tell_points(points, kind, box, ground, (flat, flat), 0.37, room)
+    assert found.tolist() == points.tolist()
     assert cut.tolist() == [Cut.HEIGHT, Cut.HEIGHT, Cut.SOLID, Cut.SOLID]
     np.testing.assert_allclose(asks[:2], [-1.9, -1.5], atol=1e-6)  # the first is met by who stands on the platform
