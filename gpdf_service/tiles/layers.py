@@ -58,7 +58,7 @@ def widest_cell(config: PerceptionConfig) -> float:
 
     Cells that must be as wide as this do not close the gaps of a floor: its samples are too far apart.
     """
-    return float(np.floor(np.sqrt(2.0) * config.widest_gap / STEP)) * STEP
+    return exact(float(np.floor(np.sqrt(2.0) * config.widest_gap / STEP)) * STEP)
 
 
 def cell_width_of(points: FloatArray, config: PerceptionConfig) -> float:
