@@ -20,7 +20,17 @@ from gpdf_service.clouds import check_finite, check_labels, check_points
 from gpdf_service.config import Config
 from gpdf_service.denoise import FAR
 from gpdf_service.errors import CloudError, SceneFileError
-from gpdf_service.fields import Gpdf, Lattice, Nearer, check_queries, fit_gpdf, fit_lattice, lattice_of, restore_lattice
+from gpdf_service.fields import (
+    Gpdf,
+    Lattice,
+    Nearer,
+    check_queries,
+    fit_gpdf,
+    fit_lattice,
+    lattice_of,
+    points_of_lattice,
+    restore_lattice,
+)
 from gpdf_service.fields.spacing import estimate_spacing, thin
 from gpdf_service.fields.threads import run_parallel
 from gpdf_service.kernel_cache import load_kept
@@ -64,7 +74,8 @@ from gpdf_service.tiles import HeightMap
 from gpdf_service.tiles.layers import in_steps
 from gpdf_service.tiles.points import Points, points_of
 from gpdf_service.tiles.rows import chosen_rows
-from gpdf_service.tiles.surface import INFERRED, UNKNOWN, is_same_ground
+from gpdf_service.tiles.surface import INFERRED, UNKNOWN, first_cell, is_same_ground
+from gpdf_service.tiles.told import moved
 from gpdf_service.types import Agent, BoolArray, FieldSample, FloatArray, IntArray, resolve_agent
 
 Progress = Callable[[str, float], None]
@@ -180,11 +191,18 @@ def _gather(queries: FloatArray, fields: Sequence[Gpdf | Nearer], on: BoolArray)
     return made
 
 
-def _since(earlier: Touched, k: int, cells: BoolArray | None) -> tuple[int, BoolArray | None]:
-    """What of a level is another than two versions ago: in these `cells` than level `k` of the version between."""
+def _since(
+    earlier: Touched, k: int, cells: BoolArray | None, grounds: tuple[HeightMap, HeightMap]
+) -> tuple[int, BoolArray | None]:
+    """What of a level is another than two versions ago: in these `cells` than level `k` of the version between.
+
+    The `grounds` are that level's, and its own.
+    """
     if k < 0:
         return k, cells
     source, other = earlier[k]
+    if other is not None:
+        other = moved(other, first_cell(grounds[0], grounds[1].origin), grounds[1].state.shape, fill=False)
     return source, (cells if other is None else other) if cells is None or other is None else cells | other
 
 
@@ -347,12 +365,20 @@ class Scene:
                 return change_free_space(space, *parts, touched, first, *config, self.scan)
         return build_free_space(*parts, body, *config, self.scan)
 
-    def _spaces_before(self, touched: Touched) -> dict[Agent, tuple[FreeSpace, Touched]]:
-        """For each body the free space that the next version's is made from, and what was touched since."""
+    def _spaces_before(
+        self, touched: Touched, grounds: tuple[HeightMap, ...]
+    ) -> dict[Agent, tuple[FreeSpace, Touched]]:
+        """For each body the free space that the next version's, on these `grounds`, is made from, and what changed."""
         with self._lock:
             before = {body: (space, touched) for body, space in self._spaces.items()}
             for body, (space, earlier) in list(self._former.items())[: MAX_CACHED_AGENTS - len(before)]:
-                before[body] = space, tuple(_since(earlier, k, cells) for k, cells in touched)
+                before[body] = (
+                    space,
+                    tuple(
+                        _since(earlier, k, cells, (self.surfaces[k], ground))
+                        for (k, cells), ground in zip(touched, grounds, strict=True)
+                    ),
+                )
         return before
 
     def with_obstacles(self, points: ArrayLike) -> Scene:
@@ -451,7 +477,7 @@ class Scene:
         scene = Scene(now.points, now.ground, now.levels, fields, self.config, *known, now, drift)
         scene.shades = self.shades
         if scene.scan == self.scan and now.touched:  # else all that stops a body may be another
-            scene._former = self._spaces_before(now.touched)
+            scene._former = self._spaces_before(now.touched, scene.surfaces)
         return scene
 
     def _rays_of(self, fresh: FloatArray, origins: ArrayLike | None, keep: BoolArray, cloud: FloatArray) -> Rays | None:
@@ -541,7 +567,7 @@ class Scene:
         if self.shades is not None:
             arrays |= flatten(self.shades, "shades")
         for i, field in enumerate(self.ground_fields):
-            arrays[f"ground_fields/{i}/alpha"] = field.alpha
+            arrays |= {f"ground_fields/{i}/alpha": field.alpha, f"ground_fields/{i}/tiled": np.array(True)}
         with self._lock:
             spaces, stored = dict(self._spaces), dict(self._stored)
         agents = list({**stored, **spaces})[-MAX_CACHED_AGENTS:]
@@ -575,7 +601,8 @@ def _level_info(index: int, level: GroundLevel, field: Gpdf) -> dict[str, Any]:
 def _restore_ground(level: GroundLevel, kept: Arrays, config: Config) -> Gpdf:
     """The level's Ground GPDF from a file.
 
-    Until version 5 that said in which order the points were, and the scale; until version 6 the discs, too.
+    Until version 5 that said in which order the points were, and the scale; until version 6 the discs, too. Until
+    version 7 tiles began at the level's own corner.
 
     Raises:
         SceneFileError: it is of another number of cells than the level's.
@@ -589,6 +616,8 @@ def _restore_ground(level: GroundLevel, kept: Arrays, config: Config) -> Gpdf:
         points = kept.get("points", level.ground_points[kept["order"]])
         length_scale, noise_variance, spacing = map(float, kept["scalars"])
         lattice = lattice._replace(length_scale=length_scale, noise_variance=noise_variance, spacing=spacing)
+    elif "tiled" not in kept:
+        points = points_of_lattice(_lattice(level, config, np.full(2, -0.5) * level.surface.cell_width))
     return restore_lattice(lattice, kept["alpha"], level.surface, discs, points)
 
 
@@ -665,10 +694,12 @@ def assemble_scene(
     return Scene(held if lasting else cloud, ground, levels, fields, config, *facts, perceived, rays=rays)
 
 
-def _lattice(level: GroundLevel, config: Config) -> Lattice:
+def _lattice(level: GroundLevel, config: Config, corner: FloatArray | None = None) -> Lattice:
+    """The lattice of a level's ground; its tiles as if it began at that `corner` [m], if one is given."""
     surface = level.surface
     height = np.where(surface.state != UNKNOWN, surface.height, np.nan)
-    return lattice_of(height, surface.origin, surface.cell_width, config.fields)
+    made = lattice_of(height, surface.origin if corner is None else corner, surface.cell_width, config.fields)
+    return made if corner is None else made._replace(origin=surface.origin)
 
 
 def _fit_ground(level: GroundLevel, config: Config, former: tuple[Gpdf, GroundLevel] | None = None) -> Gpdf:

@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from gpdf_service.errors import SceneFileError, words_of
 from gpdf_service.packing import Packed, pack, unpack
 
-SCHEMA_VERSION = 7
-READABLE = 4, 5, 6, 7
+SCHEMA_VERSION = 8
+READABLE = 4, 5, 6, 7, 8
 _META = "meta"
 _PLAIN = ".npy"
 """What follows the name of an array in NumPy's format."""

@@ -274,7 +274,7 @@ def test_a_scene_keeps_its_resolution_until_much_of_it_has_changed():
     gone = (np.abs(scene.points[:, :2] - 3.0) < 0.5).all(axis=1)
     assert cell_width_of(scene.points[~gone], PerceptionConfig()) > width
     thinner = scene.update(remove=gone)
-    beyond = thinner.update(insert=[[-0.3, 0.1, 0.0]])
+    beyond = thinner.update(insert=[[-9.0, 0.1, 0.0]])
     assert thinner.perceived.touched
     assert not beyond.perceived.touched  # the map has other bounds: all was looked at
     for changed in (thinner, beyond):
@@ -371,6 +371,29 @@ def assert_equal_cores(one, other):
     ours, theirs = (scene.free_space("human").core for scene in (one, other))
     np.testing.assert_array_equal(ours.node, theirs.node)
     np.testing.assert_array_equal(ours.decided.up, theirs.decided.up)
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_a_level_whose_box_moves_keeps_what_is_known_of_it(asked):
+    """The upper floor ends earlier, and then goes on again; its free space is asked for now and then."""
+    cloud = np.concatenate([two_storeys(), box((4.8, 3.0, 3.1), (5.0, 3.6, 4.0), 500)])
+    upper = (cloud[:, 2] > 2.9) & (cloud[:, 2] < 3.1)
+    cloud, upper = (each[~upper | (cloud[:, 0] < 5.6)] for each in (cloud, upper))
+    scene = gpdf.build_scene(cloud)
+    scene.free_space("human")
+    end = upper & (cloud[:, 0] > 5.2)
+    less = scene.update(remove=end)
+    if asked:
+        less.free_space("human")
+    more = less.update(insert=cloud[end])
+    for before, now in ((scene, less), (less, more)):
+        boxes = [{surface.state.shape for surface in each.surfaces} for each in (before, now)]
+        assert boxes[0] != boxes[1]
+        assert now.perceived.survey.former == tuple(range(len(now.surfaces)))
+        assert_equal_scenes(now, from_scratch(now), "human")
+        assert_equal_cores(now, from_scratch(now))
+        for k, field in enumerate(now.ground_fields):
+            np.testing.assert_array_equal(field.alpha, from_scratch(now).ground_fields[k].alpha)
 
 
 def test_a_change_that_takes_away_ground_far_from_it_finds_all_of_that():

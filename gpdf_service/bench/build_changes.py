@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from gpdf_service.bench.report import Row, each
+from gpdf_service.kernel_cache import load_kept
 from gpdf_service.perception import GroundLevel
 from gpdf_service.pipeline import build_scene
 from gpdf_service.scene import Scene, assemble_scene
@@ -53,7 +54,8 @@ def measure_changes(name: str, points: FloatArray, ground: BoolArray | None, cou
 
 
 def _warmed(scene: Scene, count: int) -> Iterator[dict[str, Any]]:
-    """Changes of what the scene is at each of them; before the first one compiled code is loaded by two others."""
+    """Changes of what the scene is at each of them; before the first one compiled code is loaded, and two are made."""
+    load_kept("fields", "tiles", "perception", "search")
     for change in _changes(scene, 2, np.random.default_rng(1)):
         scene.update(**change).free_space("human")
     yield from _changes(scene, count, np.random.default_rng(0))

@@ -9,6 +9,7 @@ from gpdf_service.fields.gpdf import fit_gpdf as fit_gpdf
 from gpdf_service.fields.lattice import Lattice as Lattice
 from gpdf_service.fields.lattice import fit_lattice as fit_lattice
 from gpdf_service.fields.lattice import lattice_of as lattice_of
+from gpdf_service.fields.lattice import points_of_lattice as points_of_lattice
 from gpdf_service.fields.lattice import restore_lattice as restore_lattice
 from gpdf_service.fields.nearer import Nearer as Nearer
 from gpdf_service.fields.order import morton as morton

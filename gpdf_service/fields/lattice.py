@@ -32,6 +32,8 @@ TILE = 64
 """Cells a side of a tile: the halo doubles what is solved, and all of it stays in a core's cache."""
 _MOST_STEPS = 1000
 """Of a solve: some ten do."""
+_MIDDLE = 1 << 24
+"""Far more than there are tiles on either side of the first one."""
 _NEAR = 4
 """Cells that the approximate inverse reaches: with it the even lattice has a condition number of 3, without of 124."""
 
@@ -51,6 +53,7 @@ class Lattice(NamedTuple):
         length_scale: Of the kernel [m].
         noise_variance: σ² [-].
         spacing: That the field resolves [m].
+        first: Number of its first tile along each axis: tiles of two lattices with the same number are the same.
     """
 
     height: NDArray[np.floating]
@@ -59,13 +62,21 @@ class Lattice(NamedTuple):
     length_scale: float
     noise_variance: float
     spacing: float
+    first: tuple[int, int] = (0, 0)
 
 
 def lattice_of(height: NDArray[np.floating], origin: FloatArray, width: float, config: FieldConfig) -> Lattice:
-    """A lattice with points wherever the `height` [m] of a cell, (nx, ny), is no NaN; its `origin` is a corner [m]."""
+    """A lattice with points wherever the `height` [m] of a cell, (nx, ny), is no NaN; its `origin` is a corner [m].
+
+    Centres of cells lie at multiples of the width, and tiles begin at such of `TILE`: those of each box of a grid.
+    """
     spacing = SPACING * width
     own = config.length_scale_factor * spacing, config.noise_variance, spacing
-    return Lattice(np.asarray(height, np.float64), np.asarray(origin, np.float64), float(width), *own)
+    first, skipped = np.divmod(np.rint(np.asarray(origin) / width + 0.5).astype(np.int64), TILE)
+    made = np.full(np.add(height.shape, skipped), np.nan)
+    made[skipped[0] :, skipped[1] :] = height
+    x, y = first.tolist()
+    return Lattice(made, np.asarray(origin, np.float64) - skipped * width, float(width), *own, (x, y))
 
 
 @lru_cache(maxsize=1)
@@ -94,7 +105,7 @@ class _Rows(NamedTuple):
 
 def _rows_of(lattice: Lattice) -> _Rows:
     corner = np.ascontiguousarray(np.indices([-(-size // TILE) for size in lattice.height.shape]).reshape(2, -1).T)
-    tile = TILE * corner[np.argsort(morton(corner))]
+    tile = TILE * corner[np.argsort(morton(corner + np.array(lattice.first) + _MIDDLE))]
     rows, columns = (np.arange(0, size, TILE) for size in lattice.height.shape)
     held = np.add.reduceat(~np.isnan(lattice.height), rows, axis=0, dtype=np.int32)
     count = np.add.reduceat(held, columns, axis=1)[tuple(tile.T // TILE)]
@@ -179,6 +190,11 @@ def _field(
     return Gpdf(tree, alpha, told, np.broadcast_to(0.0, len(alpha)), own, domain)
 
 
+def points_of_lattice(lattice: Lattice) -> FloatArray:
+    """All points in the lattice's order, shape (n, 3) [m]."""
+    return _points_of(lattice, _rows_of(lattice))
+
+
 def _points_of(lattice: Lattice, rows: _Rows) -> FloatArray:
     """All points in their order, shape (n, 3)."""
     points = np.empty((int(rows.first[-1]), 3))
@@ -195,15 +211,34 @@ def _flat_cells(points: FloatArray, lattice: Lattice) -> IntArray:
 def _sources(lattice: Lattice, rows: _Rows, reach: int, former: tuple[Gpdf, Lattice] | None) -> tuple[IntArray, _Rows]:
     """Of each tile with no change in reach [cells] which one it was in a `former` lattice, else −1; the tiles there."""
     source = np.full(len(rows.tile), -1)
-    if former is None or not _is_like(lattice, former[1]):
+    if former is None or lattice[2:6] != former[1][2:6]:
         return source, rows
-    before = _rows_of(former[1])
-    number = {tuple(cell): k for k, cell in enumerate(before.tile.tolist())}
-    other = lattice.height.view(np.uint64) != former[1].height.view(np.uint64)  # NaN is NaN
+    before, by = _rows_of(former[1]), TILE * (np.array(lattice.first) - former[1].first)
+    if (former[1].origin + by * lattice.width != lattice.origin).any():
+        return source, rows
+    number = {tuple(cell): k for k, cell in enumerate((before.tile - by).tolist())}
+    other, (left, top) = _other(lattice, former[1])
     for k, (x, y) in enumerate(rows.tile.tolist()):
-        if not other[max(x - reach, 0) : x + TILE + reach, max(y - reach, 0) : y + TILE + reach].any():
+        i, j = left + x, top + y
+        if not other[max(i - reach, 0) : i + TILE + reach, max(j - reach, 0) : j + TILE + reach].any():
             source[k] = number[x, y]
     return source, before
+
+
+def _other(one: Lattice, former: Lattice) -> tuple[NDArray[np.bool_], IntArray]:
+    """Over the cells of both those with other points, and which of these is the first one's first cell."""
+    begin = TILE * np.array([one.first, former.first])
+    low = begin.min(axis=0)
+    shape = (begin + np.array([one.height.shape, former.height.shape])).max(axis=0) - low
+
+    def spread(lattice: Lattice, first: IntArray) -> NDArray[np.uint64]:
+        made, (x, y) = lattice.height, first - low
+        if made.shape != tuple(shape):
+            made = np.full(shape, np.nan)
+            made[x : x + lattice.height.shape[0], y : y + lattice.height.shape[1]] = lattice.height
+        return made.view(np.uint64)  # NaN is NaN
+
+    return spread(one, begin[0]) != spread(former, begin[1]), begin[0] - low
 
 
 def _taken_over(rows: _Rows, before: _Rows, source: IntArray) -> list[tuple[slice, slice]]:
@@ -212,12 +247,6 @@ def _taken_over(rows: _Rows, before: _Rows, source: IntArray) -> list[tuple[slic
     runs = np.split(kept, np.flatnonzero(np.diff(kept) + np.diff(source[kept]) > 2) + 1) if len(kept) else []
     ends = [(run[0], run[-1] + 1, source[run[0]], source[run[-1]] + 1) for run in runs]
     return [(slice(*rows.first[[a, b]].tolist()), slice(*before.first[[c, d]].tolist())) for a, b, c, d in ends]
-
-
-def _is_like(one: Lattice, other: Lattice) -> bool:
-    """Whether two lattices have the same cells, and the same kernel."""
-    same = one.height.shape == other.height.shape and bool((one.origin == other.origin).all())
-    return same and one[2:] == other[2:]
 
 
 def _tree_of(points: FloatArray, rows: _Rows, former: tuple[Tree, _Rows, IntArray] | None = None) -> Tree:

@@ -158,12 +158,13 @@ def thin(points: FloatArray, cell: float) -> IntArray:
 
 @njit(cache=True, nogil=True)
 def _flat_cells(points: FloatArray, cell: float) -> IntArray:
-    """A number for the cubic cell of each point, counted from their lower corner."""
+    """A number for the cubic cell of each point: cells lie at multiples of their width, wherever the points end."""
     flat, (lowest, highest) = np.zeros(len(points), np.int64), corners_of(points)
     for k in range(points.shape[1]):
-        low, cells = lowest[k], int(np.floor((highest[k] - lowest[k]) / cell)) + 1
+        low = np.floor(lowest[k] / cell)
+        cells = int(np.floor(highest[k] / cell) - low) + 1
         for i in range(len(points)):
-            flat[i] = flat[i] * cells + int(np.floor((points[i, k] - low) / cell))
+            flat[i] = flat[i] * cells + int(np.floor(points[i, k] / cell) - low)
     return flat
 
 

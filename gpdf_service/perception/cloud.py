@@ -8,14 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.tiles.boxes import widened
+from gpdf_service.tiles.boxes import widened, window
 from gpdf_service.tiles.layers import Layers, build_layers, grid_of, layer_gap, same_nodes, splice_layers
 from gpdf_service.tiles.points import Points
 from gpdf_service.tiles.surface import HeightMap
 from gpdf_service.types import BoolArray, FloatArray
 
-RIM = 3
-"""Cells at a grid's rim that hold the outermost points: see `grid_of`."""
 Rows = slice | NDArray[Any]
 """Some rows of an array: all, or by their numbers."""
 
@@ -64,9 +62,10 @@ def change_layers(
     Raises:
         WholeError: their grid is another, so that all else would be moved.
     """
-    width, shape = layers.cell_width, np.array(layers.shape)
+    width, shape = layers.cell_width, layers.shape
     index = np.floor((cloud.places[:, :2] - layers.origin) / width)
-    if ((index < RIM) | (index >= shape - RIM)).any():
+    held = window((np.diff(layers.start) > 0).reshape(layers.shape), 0)
+    if any(((at <= side.start) | (at >= side.stop - 1)).any() for at, side in zip(index.T, held, strict=True)):
         grid = grid_of(*cloud.points.bounds(chosen), width) if chosen.any() else None
         if grid is None or (grid[0] != layers.origin).any() or grid[1] != layers.shape:
             raise WholeError

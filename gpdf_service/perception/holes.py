@@ -304,7 +304,7 @@ def _fill_planes(
     That is at least `OPEN_SHARE` of its rim. What has one of the `ends` in it, or in the cells of which it goes on, is
     no hole. One is as it was if all that it is told by, two cells around it too, is as it was.
     """
-    given = holes, known, ends, ground[0]
+    given = holes, known, ends, *ground
     again = grid.felt(name, RING, *given)
     parts: list[tuple[Box, tuple[NDArray[Any], ...]]] = []
     if again.any():

@@ -64,6 +64,7 @@ from gpdf_service.tiles.columns import (
     values_spliced,
 )
 from gpdf_service.tiles.layers import (
+    BLOCK,
     Layers,
     build_layers,
     cell_width_of,
@@ -80,15 +81,18 @@ from gpdf_service.tiles.surface import (
     cells_within,
     changed,
     cropped,
+    first_cell,
+    is_same_ground,
     nearest_seen,
+    placed,
 )
-from gpdf_service.tiles.told import Grid, boxes_of, grown, new_grid
+from gpdf_service.tiles.told import Grid, boxes_of, grown, moved, new_grid, shared
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 ALONE = 0.25
 """[m] A point with no other in the voxels of this width around its own is a reflection; even a thin cable has more."""
-BLOCK = 32
-"""Cells a side of the blocks that the box of a sheet is made of: two metres of a room's."""
+ASKED = 16
+"""Of so many nodes of a sheet one is asked of which level before it is."""
 PICKED = 0.4
 """[-] Share of the cells of a cloud from which on all points are read: to pick one out takes as long as to read two."""
 TALLEST = 3.0
@@ -295,12 +299,9 @@ def change_levels(
 def _levels_of(
     site: _Site, near: Beside, sheets: tuple[BoolArray, ...], before: tuple[Made, ...] = ()
 ) -> tuple[Levels, Survey]:
-    """The levels of the sheets, each made from the one before with the same box, if there is one."""
-    parts, left, former = [part_of(site.layers, sheet) for sheet in sheets], list(range(len(before))), []
-    for part in parts:
-        same = [k for k in left if _same_box(before[k].level.surface, part)][:1]
-        left = [k for k in left if k not in same]
-        former.append(same[0] if same else -1)
+    """The levels of the sheets, each made from the one before that has most of its ground, if there is one."""
+    parts = [part_of(site.layers, sheet) for sheet in sheets]
+    former = _former_of(site.layers, parts, [each.level.surface for each in before])
 
     def make(i: int) -> Made:
         return _make_level(site, sheets[i], parts[i], before[former[i]] if former[i] >= 0 else None)
@@ -310,9 +311,30 @@ def _levels_of(
     return levels, Survey(near, site.stray, sheets, made, tuple(former))
 
 
+def _former_of(layers: Layers, parts: list[Part], before: list[HeightMap]) -> list[int]:
+    """Number of the ground before with which each part shares most, for each another one; −1 where none is left."""
+    if len(parts) == len(before) and all(map(_same_box, before, parts)):
+        return list(range(len(parts)))
+    same, former = np.array([[_shared(layers, part, each) for each in before] for part in parts]), [-1] * len(parts)
+    while same.size and same.max() > 0:
+        i, k = np.unravel_index(same.argmax(), same.shape)
+        same[i], same[:, k], former[i] = 0, 0, int(k)
+    return former
+
+
 def _same_box(surface: HeightMap, part: Part) -> bool:
     """Whether a height map's cells are those of a part."""
     return surface.state.shape == part.shape and bool((surface.origin == part.origin).all())
+
+
+def _shared(layers: Layers, part: Part, surface: HeightMap) -> int:
+    """How many of some nodes of a part a height map has for the same ground."""
+    nodes, (x, y) = part.nodes[::ASKED], first_cell(surface, part.origin)
+    i, j = np.divmod(layers.cell[nodes], layers.shape[1])
+    i, j, (nx, ny) = i - (part.first[0] - x), j - (part.first[1] - y), surface.state.shape
+    inside = (i >= 0) & (i < nx) & (j >= 0) & (j < ny)
+    height = surface.height[i[inside], j[inside]]
+    return int(np.count_nonzero(is_same_ground(height, layers.height[nodes[inside]], surface.cell_width)))
 
 
 def find_portals(layers: Layers, sheets: tuple[BoolArray, ...]) -> tuple[Portal, ...]:
@@ -376,9 +398,13 @@ def _make_level(site: _Site, sheet: BoolArray, part: Part, before: Made | None) 
     """
     (x, y), (nx, ny), config = part.first, part.shape, site.config
     was, columns = before or _nothing(part, site.layers.cell_width), np.ones(part.shape, dtype=bool)
+    fresh = np.zeros_like(columns)
     if before is not None:
         columns = site.cells[x : x + nx, y : y + ny]
-    grid = was.grid.now(columns)
+        if not _same_box(before.level.surface, part):
+            was = _moved(before, part)
+            fresh = was.grid.others
+    grid = was.grid.now(columns | fresh)
     seen = sheet_surface(grid, site.layers, part, config.max_step, site.noise)
     if not grid.felt("seen", 0, *grid.known["seen"].given, points=True).any():
         return replace(was, touched=None)
@@ -396,9 +422,9 @@ def _make_level(site: _Site, sheet: BoolArray, part: Part, before: Made | None) 
         measured, both = (told[0], told[1]), (guarded, ridge)
     else:  # they are told by nothing else
         grid = replace(grid, known=was.grid.known | grid.known)
-    other = changed(was.level.surface, surface)
+    other = changed(was.level.surface, surface) | fresh
     surface = surface if other.any() else was.level.surface  # versions share it
-    felt = columns | ledges_felt(other, was.level.surface, surface)
+    felt = columns | ledges_felt(other, was.level.surface, surface) | widened(fresh, ledge_reach(surface))
     asked = widened(felt, ground_reach(surface)) | held.unlike
     ledge = _find_ledges_in(site, surface, held, asked)
     stepped = held.unlike | unlike_cells(asked, was.first, was.level.ledge[:, None], held.first, ledge[:, None])
@@ -406,6 +432,19 @@ def _make_level(site: _Site, sheet: BoolArray, part: Part, before: Made | None) 
     if not touched.any():
         return Made(was.level, grid.lasting(), held.first, None)
     return Made(GroundLevel(surface, held.points, ledge, measured, both), grid.lasting(), held.first, touched)
+
+
+def _moved(made: Made, part: Part) -> Made:
+    """What a level was made of, in the box of a `part`; the `others` of its grid are cells that never were asked."""
+    level, ground = made.level, made.level.surface
+    by = first_cell(ground, part.origin)
+    inside = np.zeros(ground.state.shape, dtype=bool)
+    inside[shared(by, inside.shape, part.shape)[0]] = True
+    rows = rows_by_cell(inside, made.first)
+    count = moved(np.diff(made.first).reshape(inside.shape), by, part.shape, 0)
+    surface = placed(ground, part.origin, part.shape)
+    level = replace(level, surface=surface, other_points=taken(level.other_points, rows), ledge=level.ledge[rows])
+    return Made(level, made.grid.moved(by, part.shape), np.concatenate([[0], np.cumsum(count)]), None)
 
 
 def _nothing(part: Part, width: float) -> Made:

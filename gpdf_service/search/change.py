@@ -24,10 +24,10 @@ from gpdf_service.search.free_space import (
 from gpdf_service.search.graph import Edges, change_edges
 from gpdf_service.search.places import Places
 from gpdf_service.search.quadtree import Quadtree, change_quadtree
-from gpdf_service.tiles import HeightMap
 from gpdf_service.tiles.boxes import span, widened, window
 from gpdf_service.tiles.rows import hashed, more_now, rows_by_cell, rows_in_cells, rows_spliced, taken
-from gpdf_service.tiles.surface import UNKNOWN, cropped
+from gpdf_service.tiles.surface import cropped, first_cell, spread, turned
+from gpdf_service.tiles.told import moved
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 
@@ -88,9 +88,13 @@ def _change_level(
 ) -> LevelSpace:
     surface, agent, radius = level.surface, old.agent, old.radius
     reach, shut = obstacles_reach(surface, agent)
-    region = obstacles_felt(touched, was.surface, surface, agent)
+    before, after = spread(was.surface, surface)
+    by, shape = first_cell(surface, after.origin), after.state.shape
+    wide = obstacles_felt(moved(touched, by, shape, fill=True), before, after, agent)
+    region = moved(wide, first_cell(after, surface.origin), touched.shape, fill=True)
     found = obstacles_of(_part(level, first, region, reach, shut), agent, scan, level.limits_in(region))
-    inside, gone = rows_in_cells(found.points, *_grid(surface), region), rows_in_tree(was.tree, *_grid(surface), region)
+    turning, cells = turned(before, after), (after.origin, after.cell_width, wide)
+    inside, gone = rows_in_cells(found.points, *cells), rows_in_tree(was.tree, *cells)
     lost = was.tree.order[gone]
     key = [
         hashed(each.points.view(np.uint64), each.kind, rows) for each, rows in ((was.obstacles, lost), (found, inside))
@@ -103,14 +107,13 @@ def _change_level(
     obstacles = Obstacles(
         rows_spliced(was.obstacles.points, lost, fresh), rows_spliced(was.obstacles.kind, lost, found.kind[inside])
     )
-    known = (was.surface.state != UNKNOWN) != (surface.state != UNKNOWN)
     part = replace(was, surface=surface, measured=level.measured, obstacles=obstacles)
-    if len(places) == 0 and not known.any():
+    if len(places) == 0 and not turning.state.any():
         return replace(part, tree=tree, obstacle_field=was.obstacle_field.over(surface))
 
     def leaves_and_edges() -> tuple[Quadtree, Edges]:
         around = build_tree(places) if len(places) else None
-        quadtree = change_quadtree(was.quadtree, surface, tree, radius, around, known)
+        quadtree = change_quadtree(was.quadtree, surface, tree, radius, around, turning)
         return quadtree, change_edges(was.quadtree, was.edges, quadtree, Places(tree), radius, around)
 
     def field() -> Gpdf:
@@ -119,12 +122,6 @@ def _change_level(
 
     (quadtree, edges), obstacle_field = run_beside(leaves_and_edges, field)
     return replace(part, tree=tree, obstacle_field=obstacle_field.over(surface), quadtree=quadtree, edges=edges)
-
-
-def _corner(tree: Tree) -> FloatArray:
-    """Least x and y of the points of a tree in plan [m]."""
-    made: FloatArray = tree.boxes[0, :2].min(axis=1)
-    return made
 
 
 @njit(cache=True, nogil=True)
@@ -148,10 +145,6 @@ def rows_in_tree(tree: Tree, origin: FloatArray, cell_width: float, wanted: Bool
             if 0 <= i < wanted.shape[0] and 0 <= j < wanted.shape[1] and wanted[i, j]:
                 found.append(row)
     return np.array(found, np.int64)
-
-
-def _grid(surface: HeightMap) -> tuple[FloatArray, float]:
-    return np.asarray(surface.origin, dtype=np.float64), surface.cell_width
 
 
 def _change_tree(tree: Tree, gone: IntArray, lost: IntArray, fresh: FloatArray) -> Tree:
@@ -211,23 +204,24 @@ def _part(level: GroundLevel, first: IntArray, region: BoolArray, reach: int, sh
 def _change_field(was: LevelSpace, obstacles: Obstacles, tree: Tree, places: FloatArray, spacing: float) -> Gpdf | None:
     """The Obstacle GPDF with the points thinned again where places came or went; None where it must be fitted anew.
 
-    The fit thins its points by cells of 0.95 spacings from the corner of all: only the cells with a change in them can
-    have another point.
+    The fit thins its points by cells of 0.95 spacings: only the cells with a change in them can have another point.
     """
     if len(places) == 0:
         return was.obstacle_field
-    width, corner = 0.95 * spacing, _corner(tree)
-    if (corner != _corner(was.tree)).any():
-        return None
-    cells = np.floor((places - corner) / width).astype(np.int64)
-    wanted = np.zeros(cells.max(axis=0) + 1, dtype=bool)
-    wanted[tuple(cells.T)] = True
-    if wanted[0, 0]:
-        return None
-    near = obstacles.points[np.sort(tree.order[rows_in_tree(tree, corner, width, wanted)]), :2]
-    rows = thin(np.concatenate([[corner], near]), width)  # the corner makes the cells those of all points
-    fresh, points = near[rows[rows > 0] - 1], was.obstacle_field.points
-    lost = rows_in_cells(points, corner, width, wanted)
+    width, points = 0.95 * spacing, was.obstacle_field.points
+    cells = np.floor(places / width).astype(np.int64)
+    first = cells.min(axis=0) - 2
+    wanted = np.zeros(cells.max(axis=0) - first + 3, dtype=bool)
+    wanted[tuple((cells - first).T)] = True
+    grid = first * width, width, widened(wanted, 1)  # a cell more on each side: corners are rounded
+
+    def held(at: FloatArray) -> BoolArray:
+        inside: BoolArray = wanted[tuple((np.floor(at / width).astype(np.int64) - first).T)]
+        return inside
+
+    near, lost = obstacles.points[np.sort(tree.order[rows_in_tree(tree, *grid)]), :2], rows_in_cells(points, *grid)
+    near, lost = near[held(near)], lost[held(points[lost])]
+    fresh = near[thin(near, width)] if len(near) else near
     if max(len(lost), len(fresh)) > 0.5 * len(points):
         return None
     gone = np.zeros(len(points), dtype=bool)

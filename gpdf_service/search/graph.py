@@ -169,6 +169,8 @@ def change_edges(
 def same_leaves(old: Quadtree, tree: Quadtree) -> tuple[IntArray, IntArray]:
     """Number now of each leaf that was, −1 where it is another, and the number then of each leaf now."""
     now, was = np.full(len(old.code), -1), np.full(len(tree.code), -1)
+    if (old.origin != tree.origin).any() or old.side != tree.side:
+        return now, was
     _match((old.code, old.size, old.free, old.whole), (tree.code, tree.size, tree.free, tree.whole), now, was)
     return now, was
 

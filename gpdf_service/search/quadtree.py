@@ -19,12 +19,16 @@ from gpdf_service.fields.traversal import nearest_at
 from gpdf_service.fields.tree import longer, make_scratch, place_of
 from gpdf_service.tiles import HeightMap
 from gpdf_service.tiles.boxes import span
+from gpdf_service.tiles.layers import exact
+from gpdf_service.tiles.surface import Cells, is_known, turned
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 MIN_WIDTH = 0.014
 """[m] Half its diagonal is 1 cm: a gap with 1 cm to spare on either side holds a leaf's centre."""
 CELL_SHARE = 0.2
 """[-] Of a cell of the ground, which is wider than its points are apart: what is finer was not measured."""
+ANCHORED = 1 << 12
+"""Smallest cells of whose multiples the root's corner is one, 57 m: it stays where the ground goes on a little."""
 
 
 @dataclass(frozen=True)
@@ -166,7 +170,16 @@ def _within(code: IntArray, side: int, low: FloatArray, high: FloatArray) -> Int
 
 def least_width(surface: HeightMap) -> float:
     """Width of the smallest cells over a ground [m]."""
-    return max(MIN_WIDTH, CELL_SHARE * surface.cell_width)
+    return exact(max(MIN_WIDTH, CELL_SHARE * surface.cell_width))
+
+
+def root_of(surface: HeightMap) -> tuple[FloatArray, int]:
+    """Lower corner [m] of the root over a ground, and how often it is halved down to the smallest cells."""
+    width = least_width(surface)
+    low = np.asarray(surface.origin, dtype=np.float64) / width
+    corner = np.floor(low / ANCHORED) * ANCHORED
+    side = np.max(low - corner + np.array(surface.state.shape) * (surface.cell_width / width))
+    return corner * width, max(0, int(np.ceil(np.log2(side))))
 
 
 def build_quadtree(surface: HeightMap, obstacles: Tree, radius: float) -> Quadtree:
@@ -179,7 +192,7 @@ def build_quadtree(surface: HeightMap, obstacles: Tree, radius: float) -> Quadtr
     """
     none = np.zeros(0, np.int64)
     nothing = np.zeros((0, 2), np.int64), none, np.zeros(0), np.zeros(0, np.uint8), none
-    return _grow(nothing, surface, obstacles, radius, None, np.zeros(surface.state.shape, dtype=bool))
+    return _grow(nothing, surface, obstacles, radius, None, turned(surface, surface))
 
 
 ROUNDING = 1e-9
@@ -187,7 +200,7 @@ ROUNDING = 1e-9
 
 
 def change_quadtree(
-    old: Quadtree, surface: HeightMap, obstacles: Tree, radius: float, places: Tree | None, changed: BoolArray
+    old: Quadtree, surface: HeightMap, obstacles: Tree, radius: float, places: Tree | None, felt: Cells
 ) -> Quadtree:
     """The tree that `build_quadtree` makes, from the one before.
 
@@ -196,15 +209,18 @@ def change_quadtree(
     is at most half a diagonal more, from a centre half a diagonal nearer. All else is copied.
 
     Args:
-        old: The tree before, over a surface of the same grid.
+        old: The tree before; where it had another root, all is looked at.
         surface: The level's ground.
         obstacles: All obstacle places now [m].
         radius: Least distance of the body's centre from any of them [m].
         places: The obstacle places that came or went [m]; None where there are none.
-        changed: Cells that became known or unknown, shape (nx, ny).
+        felt: Says which cells became known or unknown, see `turned`.
     """
+    corner, depth = root_of(surface)
+    if (corner != old.origin).any() or old.side != 1 << depth:
+        return build_quadtree(surface, obstacles, radius)
     state = old.free.astype(np.uint8) + old.whole
-    return _grow((old.corner, old.size, old.clearance, state, old.code), surface, obstacles, radius, places, changed)
+    return _grow((old.corner, old.size, old.clearance, state, old.code), surface, obstacles, radius, places, felt)
 
 
 Leaves = tuple[IntArray, IntArray, FloatArray, NDArray[np.uint8], IntArray]
@@ -212,18 +228,15 @@ Leaves = tuple[IntArray, IntArray, FloatArray, NDArray[np.uint8], IntArray]
 
 
 def _grow(
-    old: Leaves, surface: HeightMap, obstacles: Tree, radius: float, places: Tree | None, changed: BoolArray
+    old: Leaves, surface: HeightMap, obstacles: Tree, radius: float, places: Tree | None, felt: Cells
 ) -> Quadtree:
-    extent = surface.cell_width * max(surface.height.shape)
-    width = least_width(surface)
-    depth = max(0, int(np.ceil(np.log2(extent / width))))
-    origin = np.asarray(surface.origin, dtype=np.float64)
+    width, (origin, depth) = least_width(surface), root_of(surface)
     corner, size, clearance, state = _split(
         old,
         (obstacles, obstacles if places is None else places, places is not None),
-        (origin, width, depth, radius, surface.cell_width),
-        surface.state.astype(np.uint8),
-        changed,
+        (origin, width, depth, radius),
+        surface.arrays,
+        felt,
     )
     return Quadtree(origin, width, corner, size, clearance, state > 0, state == 2, morton(corner))
 
@@ -232,9 +245,9 @@ def _grow(
 def _split(
     old: Leaves,
     trees: tuple[Tree, Tree, bool],
-    measures: tuple[FloatArray, float, int, float, float],
-    known: NDArray[np.uint8],
-    changed: BoolArray,
+    measures: tuple[FloatArray, float, int, float],
+    ground: Cells,
+    felt: Cells,
 ) -> tuple[IntArray, IntArray, FloatArray, NDArray[np.uint8]]:
     """Corner, size, clearance and state of the leaves, in Morton order; what is as it was is copied from `old`.
 
@@ -242,8 +255,8 @@ def _split(
     """
     corner_was, size_was, clearance_was, state_was, code_was = old
     obstacles, places, moved = trees
-    origin, width, depth, radius, cell_width = measures
-    cells = span(changed)  # rows and columns of the cells that changed
+    origin, width, depth, radius = measures
+    rows, columns = _sides(felt, origin, width)
     capacity, count = 2 * len(size_was) + (1 << 14), 0
     corner, size = np.empty((capacity, 2), np.int64), np.empty(capacity, np.int64)
     clearance, state = np.empty(capacity), np.empty(capacity, np.uint8)
@@ -256,8 +269,6 @@ def _split(
         i, j, n, first = stack[top]
         nearest = bound[top]
         x[0], x[1] = origin[0] + (i + 0.5 * n) * width, origin[1] + (j + 0.5 * n) * width
-        ix, iy = int((x[0] - origin[0]) / cell_width), int((x[1] - origin[1]) / cell_width)
-        within = 0 <= ix < known.shape[0] and 0 <= iy < known.shape[1]
         half_diagonal = 0.5 * sqrt(2.0) * n * width
         leaf = first >= 0 and size_was[first] == n
         split, copied = False, False
@@ -266,8 +277,8 @@ def _split(
             if nearest <= reach:
                 nearest = nearest_at(places, place_of(x), scratch)[0]
             split = not leaf and nearest > reach
-            copied = leaf and nearest > reach and not (within and changed[ix, iy])
-            if split and nearest > reach + 2.0 * half_diagonal and _apart(i, j, n, width / cell_width, cells):
+            copied = leaf and nearest > reach and not is_known(felt, x[0], x[1])
+            if split and nearest > reach + 2.0 * half_diagonal and (_apart(i, n, rows) or _apart(j, n, columns)):
                 last = np.searchsorted(code_was, code_was[first] + n * n)
                 more = last - first
                 if count + more > len(size):
@@ -297,8 +308,7 @@ def _split(
         if copied:
             state[count] = state_was[first]
         else:
-            seen = within and known[ix, iy] > 0
-            state[count] = state_of(distance, half_diagonal, radius, seen)
+            state[count] = state_of(distance, half_diagonal, radius, is_known(ground, x[0], x[1]))
         count += 1
     return corner[:count].copy(), size[:count].copy(), clearance[:count].copy(), state[:count].copy()
 
@@ -323,7 +333,15 @@ def state_of(distance: float, half_diagonal: float, radius: float, seen: bool) -
 
 
 @njit(cache=True, nogil=True)
-def _apart(i: int, j: int, n: int, share: float, cells: tuple[int, int, int, int]) -> bool:
-    """Whether a node of n × n smallest cells, each this share of a cell of the ground wide, holds none of the cells."""
-    left, right, near, far = cells
-    return (i + n) * share <= left - 1 or i * share >= right + 1 or (j + n) * share <= near - 1 or j * share >= far + 1
+def _sides(felt: Cells, origin: FloatArray, width: float) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Where rows and columns of cells that are felt begin and end, in smallest cells, and one of the ground's more."""
+    left, right, near, far = span(felt.state > 0)
+    share, x, y = felt.width / width, felt.origin[0] - origin[0], felt.origin[1] - origin[1]
+    rows = x / width + (left - 1) * share, x / width + (right + 1) * share
+    return rows, (y / width + (near - 1) * share, y / width + (far + 1) * share)
+
+
+@njit(cache=True, nogil=True)
+def _apart(i: int, n: int, side: tuple[float, float]) -> bool:
+    """Whether n smallest cells, from the i-th on, are beside a stretch of them."""
+    return i + n <= side[0] or i >= side[1]

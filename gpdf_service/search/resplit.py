@@ -17,6 +17,7 @@ from gpdf_service.search.layered import Layered
 from gpdf_service.search.places import Places, distance_at
 from gpdf_service.search.quadtree import ROUNDING, Quadtree, is_split, state_of
 from gpdf_service.tiles import HeightMap
+from gpdf_service.tiles.surface import Cells, is_known
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 FELT = 5.0
@@ -132,7 +133,7 @@ class SplitQuadtree:
         return np.concatenate([found[~is_among(found, self.gone)], self.start + np.flatnonzero(meets)])
 
 
-Measures = tuple[FloatArray, float, float, float]
+Measures = tuple[FloatArray, float, float]
 """Lower corner of the root, width of the smallest cells, and of the ground's, and the body's radius [m]."""
 Leaves = Quadtree | SplitQuadtree
 """What tells leaves by their numbers."""
@@ -165,9 +166,9 @@ def split_again(tree: Quadtree, surface: HeightMap, places: Places, radius: floa
         places: What stands and what moves [m].
         radius: Least distance of the body's centre from any of them [m].
     """
-    own = tree.origin, tree.width, surface.cell_width, radius
+    own = tree.origin, tree.width, radius
     gone = _touched((tree.clearance, tree.free, tree.whole, tree.code), tree.side, places, own)
-    made = _split_leaves(tree.corner[gone], tree.size[gone], places, own, surface.state.astype(np.uint8, copy=False))
+    made = _split_leaves(tree.corner[gone], tree.size[gone], places, own, surface.arrays)
     corner, size, clearance, state = made
     return gone, Quadtree(tree.origin, tree.width, corner, size, clearance, state > 0, state == 2, morton(corner))
 
@@ -177,7 +178,7 @@ def _touched(
     leaves: tuple[FloatArray, BoolArray, BoolArray, IntArray], side: int, places: Places, measures: Measures
 ) -> IntArray:
     """See `split_again`; down from the root, where something may be near enough."""
-    (clearance, free, whole, code), (origin, width, _, radius) = leaves, measures
+    (clearance, free, whole, code), (origin, width, radius) = leaves, measures
     found, scratch, x = [0 for _ in range(0)], make_scratch(), np.empty(2)
     stack = [(0, 0, side, 0, len(code), -np.inf)]
     while len(stack) > 0:
@@ -210,10 +211,10 @@ def _touched(
 
 @njit(cache=True, nogil=True)
 def _split_leaves(
-    corner: IntArray, size: IntArray, places: Places, measures: Measures, known: NDArray[np.uint8]
+    corner: IntArray, size: IntArray, places: Places, measures: Measures, ground: Cells
 ) -> tuple[IntArray, IntArray, FloatArray, NDArray[np.uint8]]:
     """Corner, size, clearance and state of the free leaves in these leaves, in Morton order."""
-    origin, width, cell_width, radius = measures
+    origin, width, radius = measures
     found, state = [(0, 0, 0, 0.0) for _ in range(0)], [0 for _ in range(0)]
     scratch, x = make_scratch(), np.empty(2)
     stack = [(0, 0, 0) for _ in range(0)]
@@ -232,9 +233,7 @@ def _split_leaves(
                 for k in range(3, -1, -1):
                     stack.append((i + (k >> 1) * h, j + (k & 1) * h, h))
                 continue
-            u, v = int((x[0] - origin[0]) / cell_width), int((x[1] - origin[1]) / cell_width)
-            seen = u < known.shape[0] and v < known.shape[1] and known[u, v] > 0
-            free = state_of(distance, half_diagonal, radius, seen)
+            free = state_of(distance, half_diagonal, radius, is_known(ground, x[0], x[1]))
             if free > 0:
                 found.append((i, j, n, distance))
                 state.append(free)

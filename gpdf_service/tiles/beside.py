@@ -130,6 +130,8 @@ class Beside:
             ends = answer(part, *told)
             a, b = (each[asked[ends[0]]] for each in ends)
             a, b = (a, b) if nodes is None else (nodes[a], nodes[b])
+            by_first = np.argsort(a, kind="stable")  # strips are cut from pairs in this order
+            a, b = a[by_first], b[by_first]
             cell = self.layers.cell[a], self.layers.cell[b]
             fresh = np.column_stack([*cell, a - start[cell[0]], b - start[cell[1]]])
             made = [fresh[x:y] for x, y in pairwise(np.searchsorted(cell[0], cells[begin : end + 1]))]

@@ -58,7 +58,7 @@ def widest_cell(config: PerceptionConfig) -> float:
 
     Cells that must be as wide as this do not close the gaps of a floor: its samples are too far apart.
     """
-    return float(np.floor(np.sqrt(2.0) * config.widest_gap / STEP)) * STEP
+    return exact(float(np.floor(np.sqrt(2.0) * config.widest_gap / STEP)) * STEP)
 
 
 def cell_width_of(points: FloatArray, config: PerceptionConfig) -> float:
@@ -76,14 +76,19 @@ def cell_width_of(points: FloatArray, config: PerceptionConfig) -> float:
     floor_points = chosen_rows(points, np.abs(z - floor[key]) <= MIN_CELL)
     k = min(_NEIGHBOUR, len(floor_points) - 1)
     if k < 1:
-        return MIN_CELL
+        return exact(MIN_CELL)
     picked = np.arange(0, len(floor_points), max(1, len(floor_points) // _SAMPLE))
     distance = _median_to(k, floor_points, picked, corner, far, 2.0 * MIN_CELL)
     if distance > 2.0 * MIN_CELL:
         distance = _median_to(k, floor_points, picked, corner, far, _COLUMN)
     if distance > _COLUMN:
         distance = float(np.median(cKDTree(floor_points).query(floor_points[picked], k=k + 1, workers=-1)[0][:, k]))
-    return min(max(MIN_CELL, in_steps(1.5 * distance * float(np.sqrt(np.pi / k)))), widest_cell(config))
+    return exact(min(max(MIN_CELL, in_steps(1.5 * distance * float(np.sqrt(np.pi / k)))), widest_cell(config)))
+
+
+def exact(width: float) -> float:
+    """A width whose multiples are no rounded numbers: a cell has the same corners in each box of a grid [m]."""
+    return float(np.float32(width))
 
 
 def columns_over(corner: FloatArray, far: FloatArray, width: float) -> tuple[int, int]:
@@ -119,6 +124,8 @@ def layer_gap(width: float, config: PerceptionConfig) -> float:
     return max(config.min_headroom, 1.5 * width)
 
 
+BLOCK = 32
+"""Cells a side of the blocks that grids and levels' boxes are made of: two metres of a room's."""
 STRIP = 64
 """Rows of cells a strip: what changes in a room touches one or two."""
 
@@ -243,11 +250,13 @@ def nodes_of(layers: Layers, points: FloatArray) -> IntArray:
 def grid_of(low: FloatArray, high: FloatArray, cell_width: float) -> tuple[FloatArray, tuple[int, int]]:
     """Lower corner [m] and shape of the grid over points between `low` and `high` [m].
 
-    Centres lie at multiples of the width, so that they stay when the cloud grows; a ring of them is empty: unknown.
+    Centres lie at multiples of the width, and the grid is one of whole blocks: both stay when the cloud grows a little.
+    A ring of cells at least is empty: unknown.
     """
-    origin: FloatArray = (np.floor(low[:2] / cell_width) - 1.5) * cell_width
-    shape = np.floor((high[:2] - origin) / cell_width).astype(np.int64) + 2
-    return origin, (int(shape[0]), int(shape[1]))
+    first = np.floor((np.floor(low[:2] / cell_width) - 1.0) / BLOCK) * BLOCK
+    nx, ny = np.ceil((np.floor(high[:2] / cell_width) + 3.0 - first) / BLOCK).astype(np.int64) * BLOCK
+    origin: FloatArray = (first - 0.5) * cell_width
+    return origin, (int(nx), int(ny))
 
 
 def same_nodes(layers: Layers, cells: BoolArray, fresh: Layers | None) -> bool:

@@ -14,7 +14,7 @@ from gpdf_service.kernel_cache import lean
 from gpdf_service.tiles.boxes import WHOLE, Box, corner_of
 from gpdf_service.tiles.nearest import nearest_of
 from gpdf_service.tiles.rows import cells_in_box
-from gpdf_service.tiles.told import unlike
+from gpdf_service.tiles.told import moved, unlike
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 UNKNOWN, OBSERVED, INFERRED = 0, 1, 2
@@ -99,6 +99,35 @@ def changed(old: HeightMap, new: HeightMap) -> BoolArray:
     """Cells in which the ground is another, shape (nx, ny), of two maps on one grid."""
     cells: BoolArray = unlike(old.height, new.height) | (old.state != new.state)
     return cells
+
+
+def first_cell(surface: HeightMap, origin: FloatArray) -> tuple[int, int]:
+    """The first cell of a box with that lower corner [m] among those of a map of the same grid; it may lie outside."""
+    x, y = np.rint((origin - surface.origin) / surface.cell_width).astype(int).tolist()
+    return x, y
+
+
+def placed(surface: HeightMap, origin: FloatArray, shape: tuple[int, ...]) -> HeightMap:
+    """A height map in another box of its grid, with that lower corner [m] and shape."""
+    by = first_cell(surface, origin)
+    if by == (0, 0) and shape == surface.state.shape:
+        return surface
+    height, state = moved(surface.height, by, shape, np.nan), moved(surface.state, by, shape, UNKNOWN)
+    return HeightMap(origin, surface.cell_width, height, state)
+
+
+def spread(one: HeightMap, other: HeightMap) -> tuple[HeightMap, HeightMap]:
+    """Two height maps of one grid, each in the least box that holds both."""
+    low = np.minimum(one.origin, other.origin)
+    high = np.maximum(*(each.origin + each.cell_width * np.array(each.state.shape) for each in (one, other)))
+    nx, ny = np.rint((high - low) / one.cell_width).astype(int).tolist()
+    return placed(one, low, (nx, ny)), placed(other, low, (nx, ny))
+
+
+def turned(was: HeightMap, now: HeightMap) -> Cells:
+    """Over two maps of one grid: the `state` is 1 in cells that became known or unknown, else 0."""
+    before, after = spread(was, now)
+    return replace(after, state=((before.state != UNKNOWN) != (after.state != UNKNOWN)).view(np.uint8)).arrays
 
 
 def without(surface: HeightMap, cells: BoolArray) -> HeightMap:

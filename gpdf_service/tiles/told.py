@@ -19,6 +19,8 @@ from gpdf_service.types import BoolArray
 
 TILE = 64
 """Cells a side of the boxes in which a change asks again."""
+NEVER = 0xA5
+"""Of this byte is what was never told: no truth value, and no height."""
 BAND = 1 << 18
 """Cells of a band, without its reach, that a build asks at once: each of its arrays then takes 2 MB."""
 
@@ -65,6 +67,29 @@ def within(box: Box, outer: Box) -> Box:
     return rows, columns
 
 
+def shared(by: tuple[int, int], size: tuple[int, ...], shape: tuple[int, ...], less: int = 0) -> tuple[Box, Box]:
+    """What a box of so many cells shares with one of another shape that begins `by` cells further on: in each of them.
+
+    On a side on which it goes on further it is so many cells `less`.
+    """
+    ends = [
+        (max(first, 0) + less * (first > 0), min(first + count, was) - less * (first + count < was))
+        for first, was, count in zip(by, size, shape, strict=False)
+    ]
+    own, other = (
+        tuple(slice(a - off, max(b, a) - off) for (a, b), off in zip(ends, o, strict=True)) for o in ((0, 0), by)
+    )
+    return (own[0], own[1]), (other[0], other[1])
+
+
+def moved(values: NDArray[Any], by: tuple[int, int], shape: tuple[int, ...], fill: Any, less: int = 0) -> NDArray[Any]:  # noqa: ANN401
+    """The values of cells, (nx, ny, …), in another box, as `shared` has them; the `fill` where there were none."""
+    own, other = shared(by, values.shape, shape, less)
+    made = np.full((shape[0], shape[1], *values.shape[2:]), fill, values.dtype)
+    made[other] = values[own]
+    return made
+
+
 def unlike(now: NDArray[Any], was: NDArray[Any]) -> BoolArray:
     """Where values are others than before, by their bits: NaN is NaN."""
     kind = f"u{now.dtype.itemsize}"
@@ -95,6 +120,26 @@ class Grid:
     def now(self, others: BoolArray) -> Grid:
         """The grid of the next version, which holds other points in some cells."""
         return Grid({}, self.known, others, {})
+
+    def moved(self, by: tuple[int, int], shape: tuple[int, int]) -> Grid:
+        """The same of a box of that shape that begins `by` cells further on.
+
+        What was never told of a cell is told by nothing that can be given; so it is asked, and all in reach of it. The
+        last cells before a side that moved inward count as such, too: they may have been told by what is cut off. All
+        these are the `others`.
+        """
+        made: dict[int, NDArray[Any]] = {}
+
+        def one(values: NDArray[Any]) -> NDArray[Any]:
+            if id(values) not in made:  # what was one object stays one
+                raw = np.ascontiguousarray(values).view(np.uint8).reshape(*values.shape, values.dtype.itemsize)
+                made[id(values)] = moved(raw, by, shape, NEVER, 1).view(values.dtype)[..., 0]
+            return made[id(values)]
+
+        known = {
+            name: Told(tuple(map(one, told.given)), tuple(map(one, told.made))) for name, told in self.known.items()
+        }
+        return Grid(known, {}, moved(np.zeros_like(self.others), by, shape, fill=True, less=1), {})
 
     def lasting(self) -> Grid:
         """The same without the version before."""

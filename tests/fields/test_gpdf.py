@@ -143,7 +143,7 @@ def test_outside_the_domain_nothing_reads_as_free(floor):
 def test_point_order_changes_nothing_though_two_points_of_a_cell_are_as_near_to_their_mean(seed):
     rng = np.random.default_rng(seed)
     points, queries = rng.uniform(0, 2, (500, 2)), rng.uniform(0, 2, (300, 2))
-    spacing = 0.1 * estimate_spacing(points)
+    spacing = 0.2 * estimate_spacing(points)
     one, other = fit_gpdf(points, spacing=spacing), fit_gpdf(rng.permutation(points), spacing=spacing)
     assert len(one.points) < len(points)
     np.testing.assert_allclose(one.query(queries).distance, other.query(queries).distance, atol=1e-9)

@@ -21,7 +21,7 @@ def terrain(rng: np.random.Generator, shape: tuple[int, int], gaps: float = 0.1)
 
 
 def lattice(height: FloatArray) -> Lattice:
-    return lattice_of(height, np.array([3.0, -2.0]), WIDTH, FieldConfig())
+    return lattice_of(height, (np.array([2.0, -3.0]) * TILE - 0.5) * WIDTH, WIDTH, FieldConfig())
 
 
 def plain(field: Gpdf) -> Gpdf:
@@ -93,6 +93,26 @@ def test_a_change_solves_only_tiles_within_reach() -> None:
     built = fit_lattice(lattice(after), Everywhere())
     np.testing.assert_array_equal(again.alpha[near], built.alpha[near])
     assert (again.alpha[~near] == 7.0).all()
+
+
+def test_a_box_of_a_grid_that_moves_takes_over_what_is_out_of_reach_of_its_new_sides() -> None:
+    """Corners of cells are the same in each box where the width is a short number, and so are tiles."""
+    rng, width = np.random.default_rng(4), 0.0625
+    whole = terrain(rng, (5 * TILE, 5 * TILE), gaps=0.02)
+
+    def part(x: int, y: int, nx: int, ny: int) -> Lattice:
+        origin = (np.array([x, y]) - 0.5) * width
+        return lattice_of(whole[x : x + nx, y : y + ny], origin, width, FieldConfig())
+
+    before = part(32, 64, 250, 200)
+    field = fit_lattice(before, Everywhere())
+    for box in ((64, 32, 200, 256), (0, 64, 310, 170), (32, 64, 250, 200)):
+        after = part(*box)
+        marked = Gpdf(field.tree, np.full_like(field.alpha, 7.0), field.discs, field.noise, field.kernel, field.domain)
+        assert 0.05 < (fit_lattice(after, Everywhere(), (marked, before)).alpha == 7.0).mean() < 0.95
+        field, before = fit_lattice(after, Everywhere(), (field, before)), after
+        for one, another in zip(field.arrays, fit_lattice(after, Everywhere()).arrays, strict=True):
+            np.testing.assert_array_equal(one, another)
 
 
 def test_another_grid_or_kernel_takes_nothing_over() -> None:

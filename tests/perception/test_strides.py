@@ -128,5 +128,5 @@ def test_the_rim_of_a_surface_holds_no_foot_and_a_place_between_single_samples_d
         (x > x.min() + 2) & (x < x.max() - 2) & (y > y.min() + 2) & (y < y.max() - 2)
     ].all()
     chess = (x + y) % 2 == 0
-    inner = (x > 3) & (x < x.max() - 3) & (y > 3) & (y < y.max() - 3)
+    inner = (x > x.min() + 2) & (x < x.max() - 3) & (y > y.min() + 2) & (y < y.max() - 3)
     assert find_footing(layers, chess, chess, rise, 5)[chess & inner].all()

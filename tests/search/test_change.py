@@ -1,6 +1,7 @@
 """Quadtree and edges of a change are those of a build, whatever changed: obstacles, ground, or both."""
 
 import dataclasses
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -10,9 +11,9 @@ from gpdf_service.fields.tree import build_tree, change_tree
 from gpdf_service.search.change import rows_in_tree
 from gpdf_service.search.graph import change_edges, find_edges
 from gpdf_service.search.places import Places
-from gpdf_service.search.quadtree import build_quadtree, change_quadtree
+from gpdf_service.search.quadtree import build_quadtree, change_quadtree, root_of
 from gpdf_service.tiles.rows import rows_in_cells
-from gpdf_service.tiles.surface import HeightMap
+from gpdf_service.tiles.surface import HeightMap, cropped, turned
 
 RADIUS = 0.2
 
@@ -36,8 +37,7 @@ def assert_same(surface_was, places_was, surface, places):
     around = build_tree(moved) if len(moved) else None
     trees = build_tree(places_was), build_tree(places)
     old = build_quadtree(surface_was, trees[0], RADIUS)
-    changed = surface_was.state != surface.state
-    tree = change_quadtree(old, surface, trees[1], RADIUS, around, changed)
+    tree = change_quadtree(old, surface, trees[1], RADIUS, around, turned(surface_was, surface))
     built = build_quadtree(surface, trees[1], RADIUS)
     for key in ("corner", "size", "free", "whole"):
         np.testing.assert_array_equal(getattr(tree, key), getattr(built, key), err_msg=key)
@@ -46,6 +46,19 @@ def assert_same(surface_was, places_was, surface, places):
     expected = find_edges(built, Places(trees[1]), RADIUS)
     np.testing.assert_array_equal(found[0], expected[0])
     np.testing.assert_array_equal(found[1], expected[1])
+
+
+@pytest.mark.parametrize("start", [5.0, 57.0])
+def test_a_tree_over_a_box_that_moves_is_the_one_that_is_built(start):
+    """Ground ends, or goes on, beyond the box that held it; from 57.3 m on the root has another corner."""
+    rng, width, shape = np.random.default_rng(5), 0.0625, (96, 64)
+    state = (rng.random(shape) > 0.02).astype(np.uint8)
+    whole = HeightMap(np.array([np.floor(start / width) * width, 2.0]), width, np.zeros(shape, np.float32), state)
+    places = whole.origin + rng.uniform(0.0, 1.0, (40, 2)) * width * np.array(shape)
+    boxes = [cropped(whole, box) for box in (np.s_[:64, :], np.s_[32:, :], np.s_[32:, 32:], np.s_[:, :])]
+    for was, now in pairwise(boxes):
+        assert_same(was, places, now, places)
+    assert (root_of(boxes[0])[0] != root_of(boxes[1])[0]).any() == (start > 50.0)
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -8,9 +8,9 @@ from scipy.spatial import cKDTree
 
 from gpdf_service.fields import build_tree
 from gpdf_service.search.quadtree import build_quadtree, change_quadtree, least_width
-from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
+from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, turned
 
-MIN_WIDTH, CELL_SHARE = 0.014, 0.2
+MIN_WIDTH, CELL_SHARE, ANCHORED = 0.014, 0.2, 4096
 """[m] and [-]: what is promised, written down once more."""
 
 
@@ -22,14 +22,14 @@ def ground(rng, shape, width, unknown=0.1):
 
 def leaves_of(surface, places, radius):
     """Corner, size, clearance and state of every leaf: by the docstring, down from the root."""
-    width, away = max(MIN_WIDTH, CELL_SHARE * surface.cell_width), cKDTree(places)
-    extent, side = surface.cell_width * max(surface.state.shape), 1
-    while side * width < extent * (1.0 - 1e-12):
+    width, away = float(np.float32(max(MIN_WIDTH, CELL_SHARE * surface.cell_width))), cKDTree(places)
+    corner, side = np.floor(surface.origin / (ANCHORED * width)) * ANCHORED * width, 1
+    while (corner + side * width < surface.origin + surface.cell_width * np.array(surface.state.shape)).any():
         side *= 2
     found = []
 
     def split(i, j, n):
-        place = surface.origin + (np.array([i, j]) + 0.5 * n) * width
+        place = corner + (np.array([i, j]) + 0.5 * n) * width
         distance, half = away.query(place)[0], 0.5 * np.sqrt(2.0) * n * width
         some, every = distance + half >= radius, distance - half >= radius
         if some and not every and n > 1:
@@ -37,7 +37,7 @@ def leaves_of(surface, places, radius):
                 split(i + (k >> 1) * (n // 2), j + (k & 1) * (n // 2), n // 2)
             return
         cell = np.floor((place - surface.origin) / surface.cell_width).astype(int)
-        inside = (cell < surface.state.shape).all() and surface.state[tuple(cell)] != UNKNOWN
+        inside = (cell >= 0).all() and (cell < surface.state.shape).all() and surface.state[tuple(cell)] != UNKNOWN
         state = 0 if not inside or distance < radius else 2 if every else 1
         found.append((i, j, n, distance, state))
 
@@ -70,7 +70,7 @@ def test_a_tree_is_the_one_that_is_split_node_by_node(seed):
     np.testing.assert_array_equal(tree.free, state > 0)
     np.testing.assert_array_equal(tree.whole, state == 2)
     np.testing.assert_array_equal(tree.code, [code_of(*corner) for corner in tree.corner.tolist()])
-    assert tree.width == least_width(surface) == max(MIN_WIDTH, CELL_SHARE * surface.cell_width)
+    assert tree.width == least_width(surface) == pytest.approx(max(MIN_WIDTH, CELL_SHARE * surface.cell_width))
     np.testing.assert_allclose(tree.center, tree.origin + tree.width * np.column_stack([i, j] + 0.5 * size[:, None].T))
     np.testing.assert_allclose(tree.half_size, 0.5 * tree.width * size)
     assert tree.numbers.tolist() == list(range(len(size)))
@@ -88,6 +88,7 @@ def test_a_tree_of_very_many_leaves_is_whole():
     assert tree.code[-1] + tree.size[-1] ** 2 == tree.side**2
     np.testing.assert_allclose(tree.clearance, cKDTree(places).query(tree.center)[0], atol=1e-12)
     inside = (tree.center < surface.origin + np.array([7.0, 6.4])).all(axis=1)
+    inside &= (tree.center >= surface.origin).all(axis=1)
     np.testing.assert_array_equal(tree.free, inside & (tree.clearance >= 0.06))
     np.testing.assert_array_equal(tree.whole, inside & (tree.clearance - np.sqrt(2.0) * tree.half_size >= 0.06))
 
@@ -146,8 +147,8 @@ def test_a_tree_that_is_changed_is_the_one_that_is_built(seed):
         state[i : i + rng.integers(1, 4), j : j + rng.integers(1, 4)] ^= 1
     now, moved = np.concatenate([places[~gone], come]), np.concatenate([places[gone], come])
     after, tree = dataclasses.replace(surface, state=state), build_tree(now)
-    changed = (state > 0) != (surface.state > 0)
-    made = change_quadtree(old, after, tree, radius, build_tree(moved) if len(moved) else None, changed)
+    around = build_tree(moved) if len(moved) else None
+    made = change_quadtree(old, after, tree, radius, around, turned(surface, after))
     assert_equal(made, build_quadtree(after, tree, radius))
 
 
@@ -163,7 +164,7 @@ def test_in_a_wide_hall_an_obstacle_that_comes_is_known_in_leaves_far_from_it(se
     surface = HeightMap(np.zeros(2), 0.25, np.zeros((160, 160), np.float32), np.full((160, 160), OBSERVED, np.uint8))
     places = rng.uniform(0.0, 40.0, (5, 2))
     old, tree = build_quadtree(surface, build_tree(places[1:]), 0.2), build_tree(places)
-    made = change_quadtree(old, surface, tree, 0.2, build_tree(places[:1]), np.zeros((160, 160), dtype=bool))
+    made = change_quadtree(old, surface, tree, 0.2, build_tree(places[:1]), turned(surface, surface))
     assert_equal(made, build_quadtree(surface, tree, 0.2))
 
 
@@ -177,7 +178,7 @@ def test_what_a_change_is_far_from_is_copied_and_what_it_is_near_is_made_anew(wh
     marked = dataclasses.replace(old, clearance=old.clearance - 1e-6)
     come = surface.origin + 4.0 * where * np.ones((1, 2))
     tree = build_tree(np.concatenate([places, come]))
-    made = change_quadtree(marked, surface, tree, 0.12, build_tree(come), np.zeros((40, 40), dtype=bool))
+    made = change_quadtree(marked, surface, tree, 0.12, build_tree(come), turned(surface, surface))
     exact, half = tree_distance(tree, made.center), np.sqrt(2.0) * made.half_size
     stays = np.abs(made.clearance - exact + 1e-6) < 1e-9
     far = np.linalg.norm(made.center - come, axis=1)

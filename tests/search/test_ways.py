@@ -104,7 +104,7 @@ def test_level_goes_round_low_steps_that_are_taken_otherwise():
 
 
 def test_wide_goes_through_the_wide_gap():
-    walls = (Box((2.9, 0.0, 0.0), (3.1, 0.6, 2.0)), Box((2.9, 1.3, 0.0), (3.1, 2.4, 2.0)))  # 0.7 m and 1.6 m
+    walls = (Box((2.9, 0.0, 0.0), (3.1, 0.6, 2.0)), Box((2.9, 1.3, 0.0), (3.1, 1.8, 2.0)))  # 0.7 m and 2.2 m
     scene = build(*walls)
     ours, wide = (gpdf.plan(scene, (1.0, 0.95), (5.0, 0.95), prefer=p) for p in (None, "wide"))
     assert ours.certificate.min_clearance < 0.15 < 0.3 < wide.certificate.min_clearance

@@ -5,17 +5,18 @@ import pytest
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.holes import fill_holes
+from gpdf_service.tiles.boxes import highest_around
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, nearest_seen
 from gpdf_service.tiles.told import boxes_of, grown, new_grid
 
 CELLS, WIDTH = (260, 240), 0.06
 
 
-def place(rng):
+def place(rng, rough=0.003):
     """Floors that flights join, with gaps, holes and things: heights, NaN where unseen, and what is over and under."""
     x, y = np.indices(CELLS)
     height = 0.17 * np.clip((x - 100) // 5, 0, 8) + 0.15 * np.clip((y - 150) // 6, 0, 4)
-    height = height + rng.normal(0.0, 0.003, CELLS)
+    height = height + rng.normal(0.0, rough, CELLS)
     height[rng.random(CELLS) < 0.02] = np.nan
     for _ in range(150):
         (i, j), (u, v) = rng.integers(0, CELLS), rng.integers(1, 16, 2)
@@ -38,17 +39,18 @@ def fill(grid, height, *others):
     return fill_holes(seen, grid, nearest_seen(seen), (material, at_floor), voids, PerceptionConfig())
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(12))
 def test_a_change_fills_holes_notches_and_gaps_as_a_build_does(seed):
-    rng = np.random.default_rng(seed)
-    before = place(rng)
+    """On smooth treads what is filled is as high as what was seen there before."""
+    rng, rough = np.random.default_rng(seed), 0.003 * (seed < 6)
+    before = place(rng, rough)
     grid = new_grid(CELLS)
     was = fill(grid, *before)
     for _ in range(3):
         i, j = (rng.integers(0, size - 17) for size in CELLS)
         here, others = (slice(i, i + 17), slice(j, j + 17)), np.zeros(CELLS, dtype=bool)
         others[here] = True
-        now = tuple(np.where(others, new, old) for new, old in zip(place(rng), before, strict=True))
+        now = tuple(np.where(others, new, old) for new, old in zip(place(rng, rough), before, strict=True))
         grid = grid.lasting().now(others)
         ours, theirs = fill(grid, *now), fill(new_grid(CELLS), *now)
         np.testing.assert_array_equal(ours.height, theirs.height)
@@ -105,3 +107,38 @@ def test_boxes_hold_all_cells_and_one_is_taken_where_several_would_overlap_more(
     assert boxes_of(cells, 40) == [(slice(100, 240), slice(100, 240))]
     assert boxes_of(np.zeros((9, 9), dtype=bool), 3) == []
     assert grown((slice(2, 4), slice(7, 9)), 3, (9, 9)) == (slice(0, 7), slice(4, 9))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_box_that_moves_is_told_as_a_fresh_one_and_asks_only_at_its_new_sides(seed):
+    """What lies outside of a box decides on nothing, so an answer at its side is another where that has moved."""
+    rng = np.random.default_rng(seed)
+    values, kinds, reach = rng.normal(size=(150, 140)).astype(np.float32), rng.random((150, 140)) < 0.1, 3
+    asked = []
+
+    def answer(box, height, kind):
+        asked.append(height.size)
+        lowest = np.where(kind, -9.0, height).astype(np.float32)
+        return -highest_around(-lowest, reach), highest_around(kind.view(np.uint8), reach).view(bool)
+
+    def told(grid, box, others):
+        grid = grid.now(others)
+        return grid, grid.around("lowest", reach, answer, values[box], kinds[box], points=True)
+
+    first, size = rng.integers(20, 40, 2), rng.integers(80, 90, 2)
+    grid = told(new_grid(tuple(size)), box_of(first, size), np.zeros(size, dtype=bool))[0]
+    for _ in range(4):
+        by, shape = rng.integers(-8, 8, 2) * rng.integers(0, 2, 2), rng.integers(75, 95, 2)
+        first, size, grid = first + by, shape, grid.lasting().moved(tuple(by.tolist()), tuple(shape.tolist()))
+        assert grid.others.any()
+        asked.clear()
+        grid, ours = told(grid, box_of(first, size), grid.others)
+        assert sum(asked) < 0.9 * size.prod() + 4000
+        theirs = told(new_grid(tuple(size)), box_of(first, size), np.zeros(size, dtype=bool))[1]
+        for one, other in zip(ours, theirs, strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def box_of(first, size):
+    rows, columns = (slice(int(a), int(a + n)) for a, n in zip(first, size, strict=True))
+    return rows, columns
