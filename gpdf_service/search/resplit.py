@@ -134,7 +134,7 @@ class SplitQuadtree:
 
 
 Measures = tuple[FloatArray, float, float]
-"""Lower corner of the root, width of the smallest cells, and of the ground's, and the body's radius [m]."""
+"""Lower corner of the root, width of the smallest cells, and the body's radius [m]."""
 Leaves = Quadtree | SplitQuadtree
 """What tells leaves by their numbers."""
 
@@ -188,9 +188,7 @@ def _touched(
         reach = felt + half_diagonal
         if is_leaf:
             reach = min(clearance[first], felt) if free[first] else -np.inf
-            if (
-                free[first] and not whole[first]
-            ):  # what proves its edges are obstacles within the radius of places in it
+            if free[first] and not whole[first]:  # its edges are proven by obstacles that near to places in it
                 reach = max(reach, radius + 2.2 * half_diagonal)
         if near >= reach:
             continue
