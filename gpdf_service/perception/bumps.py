@@ -134,8 +134,14 @@ def _are_places(
     span = np.column_stack([row - reach, row + reach + 1])
     room = np.empty(len(most), np.int64)
     room[piece[by_node]] = near.few(name, most, span, count, (layers.height[most] - 0.5 * raised[by_node],), (ground,))
-    found: BoolArray = room * layers.cell_width**2 > LONG * config.standing_width**2
+    found: BoolArray = room > _room_of_things(layers.cell_width, config)
     return found
+
+
+def _room_of_things(width: float, config: PerceptionConfig) -> int:
+    """How many cells a thing that is narrower than a person has, and within one around, in cells so wide [m]."""
+    narrow = config.standing_width / width
+    return int((narrow + 2.0) * (LONG * narrow + 2.0))
 
 
 def _with_tops(
@@ -143,7 +149,7 @@ def _with_tops(
 ) -> tuple[IntArray, FloatArray, IntArray]:
     """The same, and what pieces that are no places are joined to at their height: nodes, how much, and pieces."""
     last = _tops(raised, piece)
-    reach, room = int(LANDING / layers.cell_width), int(LONG * (config.standing_width / layers.cell_width) ** 2)
+    reach, room = int(LANDING / layers.cell_width), _room_of_things(layers.cell_width, config)
     made = np.zeros(len(ground))
     _join_tops(nodes[last], layers.columns, ground, raised[last], (reach, room), config.max_step, made)
     made[nodes] = raised
@@ -334,13 +340,13 @@ def _around(first: IntArray, boxes: IntArray, columns: Columns, ground: BoolArra
 def _cells_as_high(
     nodes: IntArray, columns: Columns, ground: BoolArray, least: FloatArray, reach: int, most: float
 ) -> IntArray:
-    """Cells that ground at `least` as high, and within `most` over it [m], joins to each node, shape (m,).
+    """Cells of ground at `least` as high, and within `most` over it [m], that is joined to each node, shape (m,).
 
-    Within a `reach` of cells.
+    Within a `reach` of cells; and cells beside these, as between the rings of a scan are cells without a point.
     """
     count, (seen, asked, joined) = np.empty(len(nodes), np.int64), _flood_room(reach)
     for n in range(len(nodes)):
-        count[n] = _flood(nodes[n], columns, ground, least[n], most, seen, asked, joined)
+        count[n] = _flood(nodes[n], columns, ground, least[n], most, seen, asked, joined)[1]
     return count
 
 
@@ -356,15 +362,16 @@ def _join_tops(
 ) -> None:
     """Say how much what is joined to each of the nodes, and nearly as high, is `raised` [m]: as much as they, (m,).
 
-    Not where more than the second of the `limits` cells are, within the first, half as high, and not of a tread, from
-    which it goes on upwards by `most` at most [m].
+    Not where more than the second of the `limits` cells are within the first, half as high or beside such, and not of
+    a tread, from which it goes on upwards by `most` at most [m].
     """
     reach, room = limits
     seen, asked, joined = _flood_room(reach)
     for n in range(len(nodes)):
         top = columns.height[nodes[n]]
-        cells = joined[: _flood(nodes[n], columns, ground, top - 0.5 * raised[n], most, seen, asked, joined)]
-        if len(cells) > room or columns.height[cells].max() > top + LEAST_BUMP:
+        found, met = _flood(nodes[n], columns, ground, top - 0.5 * raised[n], most, seen, asked, joined)
+        cells = joined[:found]
+        if met > room or columns.height[cells].max() > top + LEAST_BUMP:
             continue
         for i in cells:
             if columns.height[i] > top - 0.25 * raised[n]:
@@ -388,8 +395,11 @@ def _flood(
     seen: BoolArray,
     asked: IntArray,
     joined: IntArray,
-) -> int:
-    """Write what ground, at `least` so high and within `most` over it [m], is joined to a node; how many cells."""
+) -> tuple[int, int]:
+    """Write what ground, at `least` so high and within `most` over it [m], is joined to a node; how many cells.
+
+    And how many with those beside them.
+    """
     (nx, ny), width = columns.shape, len(seen)
     left, near = columns.cell[node] // ny - width // 2, columns.cell[node] % ny - width // 2
     seen[:] = False
@@ -410,4 +420,4 @@ def _flood(
                     seen[u, v] = True
                     asked[count] = u, v
                     count += 1
-    return found
+    return found, count

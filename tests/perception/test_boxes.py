@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
+from gpdf_service.bench.houses import scanned_house
 from gpdf_service.synthetic.solids import turn_and_shift
 from gpdf_service.types import BoolArray, FloatArray
 
@@ -134,3 +135,13 @@ def test_a_step_before_a_door_is_ground(noise: float) -> None:
     scene = gpdf.build_scene(cloud)
     assert scene.ground[-len(step) :].mean() > 0.95
     assert gpdf.plan(scene, (1.0, 1.0, 0.0), (3.0, 4.5, 2.0 * rise), "human").status is gpdf.Status.OK
+
+
+def test_a_floor_that_a_scanner_saw_in_rings_is_ground() -> None:
+    """Between a flight's head and walls; half of its cells hold no point, and it is larger than those that do."""
+    place, scan = scanned_house(21, "tripod")
+    head = place.way[-1]
+    aside = np.linalg.norm(scan.points - (place.way[-2] + [0.0, 0.0, head[2] - place.way[-2][2]]), axis=1)
+    behind = scan.ground & (aside < 1.0) & (scan.points[:, 2] > head[2] - 0.05)
+    assert behind.sum() > 300
+    assert gpdf.segment_ground(scan.points)[behind].mean() > 0.95
