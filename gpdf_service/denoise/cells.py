@@ -87,6 +87,22 @@ def rows_around(points: FloatArray, asked: BoolArray, width: float) -> IntArray:
     return np.flatnonzero(_are_among(key, wanted))
 
 
+def rows_in_plan(cells: Cells, low: FloatArray, high: FloatArray) -> IntArray:
+    """Rows of the points in the columns of cells that meet a rectangle along the axes, ascending.
+
+    Args:
+        cells: The points.
+        low: Least x and y of the rectangle [m], shape (2,).
+        high: Greatest.
+    """
+    (x, y), (right, far) = (np.floor((end - cells.corner[:2]) / cells.width).astype(np.int64) for end in (low, high))
+    across = cells.strides[0] // cells.strides[1]
+    row = np.arange(max(x, 0), right + 1) * cells.strides[0]
+    first, last = (np.searchsorted(cells.key, row + np.clip(at, 0, across) * cells.strides[1]) for at in (y, far + 1))
+    runs = [cells.order[a:b] for a, b in zip(cells.begin[first], cells.begin[last], strict=True)]
+    return np.sort(np.concatenate([np.zeros(0, np.int64), *runs]))
+
+
 def _grid_over(points: FloatArray, width: float) -> Grid:
     lowest, highest = corners_of(points)
     width = max(width, float((highest - lowest).max()) / _MOST)

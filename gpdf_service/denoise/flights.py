@@ -12,20 +12,27 @@ from math import ceil
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from gpdf_service.denoise.cells import Cells, begin_sweep, rows_in_plan, runs_within, sort_into_cells, sum_cells
 from gpdf_service.denoise.cloud import HIDDEN
 from gpdf_service.denoise.treads import EDGE_ERROR, Treads, log_density, look_for_treads, settle_treads
+from gpdf_service.fields.threads import run_chunked
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 _VOXEL = 0.2
 """[m] Ground is averaged over this before its slope is looked at: less than a tread."""
 _AROUND = 0.5
 """[m] Radius of the plane that says how steep it is: three treads."""
+_RINGS = 3
+"""Voxels to either side that may hold some of it."""
+_FEWEST_VOXELS, _WIDE = 4, 1e-2
+"""Voxels that tell that plane, and how wide they must lie across: of the square of how far they lie in all [-]."""
 _BESIDE = 40
-"""Voxels within it."""
+"""Points that tell the plane of a core."""
 _SHALLOW, _STEEP = 0.3, 1.1
 """[-] Slopes of the shallowest and the steepest stairs: 12 cm on 40 cm, and 22 cm on 20 cm."""
 _TURN = 0.94
@@ -62,15 +69,18 @@ class Flight(NamedTuple):
     low: tuple[float, float]
     high: tuple[float, float]
 
-    def within(self, points: FloatArray, beyond: float = 0.0) -> tuple[IntArray, FloatArray, FloatArray]:
+    def within(self, points: FloatArray, cells: Cells, beyond: float = 0.0) -> tuple[IntArray, FloatArray, FloatArray]:
         """The rows of `points` (n, 3) over or under it, and their places up and along its edges [m].
 
-        With those up to `beyond` [m] before and behind it.
+        With those up to `beyond` [m] before and behind it; the points are asked for by their `cells`.
         """
-        u, v = self.treads.along(points[:, :2] - self.origin)
-        inside = (u >= self.low[0] - beyond) & (u <= self.high[0] + beyond)
-        rows = np.flatnonzero(inside & (v >= self.low[1]) & (v <= self.high[1]))
-        return rows, u[rows], v[rows]
+        (left, near), (right, far) = self.low, self.high
+        low, high = np.array([left - beyond, near]), np.array([right + beyond, far])
+        way = np.array([np.cos(self.treads.angle), np.sin(self.treads.angle)])
+        rows = rows_in_plan(cells, *_bounds(self.origin, way, low, high))
+        u, v = self.treads.along(points[rows, :2] - self.origin)
+        inside = (u >= low[0]) & (u <= high[0]) & (v >= low[1]) & (v <= high[1])
+        return rows[inside], u[inside], v[inside]
 
     def reaches(self, place: FloatArray) -> bool:
         """Whether a core at `place`, shape (2,) [m], would be of this flight."""
@@ -90,9 +100,12 @@ def onto_treads(points: FloatArray, noise: float, moved: FloatArray, left: Float
     Returns:
         The flights.
     """
-    flights = []
-    for flight in _flights(points, noise):
-        rows, u, _ = flight.within(points)
+    flights: list[Flight] = []
+    if len(points) == 0:
+        return flights
+    cells = sort_into_cells(points, _VOXEL)
+    for flight in _flights(points, cells, noise):
+        rows, u, _ = flight.within(points, cells)
         z, reach = points[rows, 2], _OFF * noise
         mine = z >= flight.treads.height_at(u - reach) - reach
         mine &= z <= flight.treads.height_at(u + reach) + reach
@@ -103,15 +116,26 @@ def onto_treads(points: FloatArray, noise: float, moved: FloatArray, left: Float
     return flights
 
 
-def onto_risers(flight: Flight, points: FloatArray, noise: float, moved: FloatArray, left: FloatArray) -> None:
-    """Set those of the other `points`, shape (n, 3) [m], that are of a riser of the `flight` onto it.
+def onto_risers(flights: list[Flight], points: FloatArray, noise: float, moved: FloatArray, left: FloatArray) -> None:
+    """Set those of the other `points`, shape (n, 3) [m], that are of a riser of the `flights` onto it.
 
     A point is of the nearest riser if that is near, and if those beside it along the edge lie together as a riser's do:
     as often before it as behind it, not thicker than the noise, and not higher. A thing on a tread is before it.
     `moved` and `left` are as in `onto_treads`.
     """
-    reach, (angle, edges, heights, sigma) = _OFF * noise, flight.treads
-    rows, u, v = flight.within(points, reach)
+    if len(points) == 0:
+        return
+    cells = sort_into_cells(points, _VOXEL)
+    for flight in flights:
+        _onto_risers_of(flight, points, cells, _OFF * noise, (moved, left, HIDDEN * noise))
+
+
+def _onto_risers_of(
+    flight: Flight, points: FloatArray, cells: Cells, reach: float, made: tuple[FloatArray, FloatArray, float]
+) -> None:
+    """`onto_risers` of one flight, as far as `reach` [m]: made are places, what is left on them, and what that is."""
+    (angle, edges, heights, sigma), (moved, left, hidden) = flight.treads, made
+    rows, u, v = flight.within(points, cells, reach)
     if len(rows) == 0:
         return
     order = np.argsort(v)
@@ -129,7 +153,7 @@ def onto_risers(flight: Flight, points: FloatArray, noise: float, moved: FloatAr
         way, side = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
         moved[rows[mine], :2] = flight.origin + edges[k] * way + v[mine, None] * side
         moved[rows[mine], 2] = np.clip(z[mine], heights[k], heights[k + 1])
-        left[rows[mine]] = HIDDEN * noise
+        left[rows[mine]] = hidden
 
 
 def _as_riser(
@@ -183,19 +207,9 @@ class _Piece(NamedTuple):
         return (float(u), float(up)), (float(v), float(aside))
 
 
-def _steep_pieces(points: FloatArray) -> Iterator[_Piece]:
-    """Parts of the ground that are as steep as stairs, one way up, cut to what is fitted as one."""
-    if len(points) < _BESIDE:
-        return
-    key = np.floor((points - points.min(axis=0)) / _VOXEL).astype(np.int64)
-    size = key.max(axis=0) + 1
-    _, voxel, count = np.unique(
-        (key[:, 0] * size[1] + key[:, 1]) * size[2] + key[:, 2], return_inverse=True, return_counts=True
-    )
-    means = np.stack([np.bincount(voxel, column) / count for column in points.T], axis=1)
-    if len(means) < _LEAST_VOXELS:
-        return
-    gradient = _gradients(means, count.astype(np.float64))
+def _steep_pieces(cells: Cells) -> Iterator[_Piece]:
+    """Parts of the ground, in voxels, that are as steep as stairs, one way up, cut to what is fitted as one."""
+    means, gradient = _gradients(cells)
     slope = np.hypot(gradient[:, 0], gradient[:, 1])
     steep = np.flatnonzero((slope >= _SHALLOW) & (slope <= _STEEP))
     if len(steep) < _LEAST_VOXELS:
@@ -205,26 +219,44 @@ def _steep_pieces(points: FloatArray) -> Iterator[_Piece]:
     pairs = pairs[np.einsum("ij,ij->i", ways[pairs[:, 0]], ways[pairs[:, 1]]) >= _TURN]
     graph = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(steep), len(steep)))
     label = connected_components(graph, directed=False)[1]
-    for part in np.flatnonzero(np.bincount(label) >= _LEAST_VOXELS):
-        mine = label == part
-        yield from _cut(means[steep[mine]], gradient[steep[mine]])
+    parts = np.split(steep[np.argsort(label, kind="stable")], np.cumsum(np.bincount(label))[:-1])
+    for part in parts:
+        if len(part) >= _LEAST_VOXELS:
+            yield from _cut(means[part], gradient[part])
 
 
-def _gradients(means: FloatArray, weight: FloatArray) -> FloatArray:
-    """Gradient of the plane through the means, shape (m, 3) [m], around each, shape (m, 2); 0 where there is none."""
-    reach, beside = cKDTree(means).query(means, k=min(_BESIDE, len(means)), distance_upper_bound=_AROUND)
-    weight = np.append(weight, 0.0)[beside]
-    offset = np.append(means, [[0.0, 0.0, 0.0]], axis=0)[beside]
-    total = np.maximum(weight.sum(axis=1), 1.0)
-    offset = offset - np.einsum("ij,ijk->ik", weight, offset)[:, None] / total[:, None, None]
-    moments = np.einsum("ij,ijk,ijl->ikl", weight, offset, offset) / total[:, None, None]
-    xx, xy, yy, xz, yz = (moments[:, a, b] for a, b in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2)))
-    whole = xx * yy - xy * xy
-    known = (whole > 1e-2 * (xx + yy) ** 2) & (np.isfinite(reach).sum(axis=1) >= 4)
-    whole = np.where(known, whole, 1.0)
-    gradient = np.stack([xz * yy - yz * xy, yz * xx - xz * xy], axis=1) / whole[:, None]
-    found: FloatArray = np.where(known[:, None], gradient, 0.0)
-    return found
+def _gradients(cells: Cells) -> tuple[FloatArray, FloatArray]:
+    """Mean of the points in each cell, shape (m, 3) [m], and gradient of the plane through those around, shape (m, 2).
+
+    It is 0 where there is none.
+    """
+    sums, gradient = sum_cells(cells), np.zeros((len(cells.key), 2))
+    x, rest = np.divmod(cells.key, cells.strides[0])
+    middles = (np.column_stack([x, *np.divmod(rest, cells.strides[1])]) + 0.5) * cells.width
+    voxels = cells._replace(places=middles + sums[:, 1:4] / sums[:, :1], begin=np.arange(len(x) + 1))
+    run_chunked(lambda a, b: _gradient_range(voxels, sums[:, 0], a, b, gradient), len(gradient))
+    return cells.corner + voxels.places, gradient
+
+
+@njit(cache=True, nogil=True)
+def _gradient_range(voxels: Cells, weight: FloatArray, begin: int, end: int, gradient: FloatArray) -> None:
+    """Write the gradient around each of the voxels, which hold one place each, of all within `_AROUND`."""
+    at, runs = begin_sweep(voxels, begin, _RINGS), np.empty(((2 * _RINGS + 1) ** 2, 2), np.int64)
+    for c in range(begin, end):
+        count, n, x, y, z, xx, xy, yy, xz, yz = 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for run in runs[: runs_within(voxels, c, _RINGS, at, runs)]:
+            for j in range(run[0], run[1]):
+                a, b = voxels.places[j, 0] - voxels.places[c, 0], voxels.places[j, 1] - voxels.places[c, 1]
+                h = voxels.places[j, 2] - voxels.places[c, 2]
+                if a * a + b * b + h * h <= _AROUND**2:
+                    w = weight[j]
+                    count, n, x, y, z = count + 1, n + w, x + w * a, y + w * b, z + w * h
+                    xx, xy, yy = xx + w * a * a, xy + w * a * b, yy + w * b * b
+                    xz, yz = xz + w * a * h, yz + w * b * h
+        xx, xy, yy, xz, yz = xx - x * x / n, xy - x * y / n, yy - y * y / n, xz - x * z / n, yz - y * z / n
+        whole = xx * yy - xy * xy
+        if count >= _FEWEST_VOXELS and whole > _WIDE * (xx + yy) ** 2:
+            gradient[c, 0], gradient[c, 1] = (xz * yy - yz * xy) / whole, (yz * xx - xz * xy) / whole
 
 
 def _cut(means: FloatArray, gradient: FloatArray) -> Iterator[_Piece]:
@@ -248,15 +280,19 @@ def _cut(means: FloatArray, gradient: FloatArray) -> Iterator[_Piece]:
             yield _Piece(way, corner, corner + size, ramp, (i > 0, i < rows - 1))
 
 
-def _flights(points: FloatArray, noise: float) -> Iterator[Flight]:
+def _bounds(origin: FloatArray, way: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Least and greatest x and y [m] of a rectangle about an origin, from `low` to `high` up its `way` and aside."""
+    axes = np.stack([way, [-way[1], way[0]]])
+    corners = origin + np.array(list(product((low[0], high[0]), (low[1], high[1])))) @ axes
+    return corners.min(axis=0), corners.max(axis=0)
+
+
+def _flights(points: FloatArray, cells: Cells, noise: float) -> Iterator[Flight]:
     """All flights of the ground, each looked for in cores beside each other, and grown along its edges."""
-    order = np.argsort(points[:, 0], kind="stable")
-    sorted_x = points[order, 0]
-    for piece in _steep_pieces(points):
+    for piece in _steep_pieces(cells):
         axes = np.stack([piece.way, [-piece.way[1], piece.way[0]]])
-        ends = [low * axes[0, 0] + high * axes[1, 0] for low, high in product(*piece.reach)]
-        rows = np.sort(order[np.searchsorted(sorted_x, min(ends)) : np.searchsorted(sorted_x, max(ends), side="right")])
-        near = points[rows]
+        low, high = np.transpose(piece.reach)
+        near = points[rows_in_plan(cells, *_bounds(np.zeros(2), piece.way, low, high))]
         u, v = near[:, :2] @ axes[0], near[:, :2] @ axes[1]
         ramp = piece.ramp[0] * np.clip(u, piece.low[0], piece.high[0]) + piece.ramp[1]
         mine = np.abs(near[:, 2] - ramp) <= _TALLEST + _OFF * noise

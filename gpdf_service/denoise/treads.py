@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from gpdf_service.kernel_cache import lean
 from gpdf_service.types import FloatArray, IntArray
 
 _NEAR = 5.0
@@ -142,16 +143,13 @@ def log_density(points: FloatArray, treads: Treads) -> FloatArray:
 def _starts(points: FloatArray, noise: float, slope: FloatArray, floor: float, ceiling: float) -> list[Treads]:
     """The likeliest of the regular flights along the ramp."""
     steep, angle = float(np.hypot(slope[0], slope[1])), float(np.arctan2(slope[1], slope[0]))
-    tried = []
-    for rise in _RISES:
-        for phase in np.arange(_PHASES) / _PHASES:
-            first = int(np.ceil(floor / rise - phase - 1.0))
-            heights = (np.arange(first, int(np.floor(ceiling / rise - phase)) + 1) + phase + 0.5) * rise
-            if len(heights) > _FEWEST_EDGES:
-                start = Treads(angle, (heights[1:] - 0.5 * rise - slope[2]) / steep, heights, noise)
-                tried.append((float(_likelihood(points, *start)[0].sum()), start))
-    tried.sort(key=lambda one: -one[0])
-    return [start for _, start in tried[:_REFINED]]
+    likely = _try_regular(points, angle, (steep, float(slope[2])), (floor, ceiling), noise)
+    order = np.argsort(-likely, axis=None, kind="stable")[:_REFINED]
+    best = [divmod(int(one), _PHASES) for one in order if likely.flat[one] > -np.inf]
+    return [
+        Treads(angle, *_regular_flight(rise, phase, (steep, float(slope[2])), (floor, ceiling)), noise)
+        for rise, phase in best
+    ]
 
 
 def _refined(points: FloatArray, treads: Treads, noise: float) -> tuple[Treads, float]:
@@ -254,29 +252,70 @@ def _phi(t: float) -> float:
     return 0.5 * (1.0 + erf(t * 0.7071067811865476))
 
 
+@lean()
+def _density_at(u: float, z: float, edges: FloatArray, heights: FloatArray, sigma: float) -> tuple[float, float, float]:
+    """Density of a height [1/m], that times what it is over its treads in σ, and how it grows as edges move on in σ."""
+    peak = 1.0 / (sqrt(2.0 * pi) * sigma)
+    p, mean, slope, before, last = _OUTLIER / sigma, 0.0, 0.0, 1.0, 0.0
+    for k in range(np.searchsorted(edges, u - _NEAR * sigma), len(heights)):
+        beyond = k == len(edges) or edges[k] >= u + _NEAR * sigma
+        r = 0.0 if beyond else (u - edges[k]) / sigma
+        after, bell = (0.0, 0.0) if beyond else (_phi(r), exp(-0.5 * r * r))
+        t = (z - heights[k]) / sigma
+        g = peak * exp(-0.5 * t * t)
+        p, mean = p + (before - after) * g, mean + (before - after) * g * t
+        slope += (last - bell) * g
+        if beyond:
+            break
+        before, last = after, bell
+    return p, mean, slope
+
+
 @njit(cache=True, nogil=True)
 def _likelihood(
     points: FloatArray, angle: float, edges: FloatArray, heights: FloatArray, sigma: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Log density of each point's height, what it is over its treads in σ, and how it pulls at edges; (n,) each."""
     density, off, push = np.empty(len(points)), np.empty(len(points)), np.empty(len(points))
-    c, s, peak = cos(angle), sin(angle), 1.0 / (sqrt(2.0 * pi) * sigma)
+    c, s = cos(angle), sin(angle)
     for i in range(len(points)):
-        u, z = c * points[i, 0] + s * points[i, 1], points[i, 2]
-        p, mean, slope, before, last = _OUTLIER / sigma, 0.0, 0.0, 1.0, 0.0
-        for k in range(np.searchsorted(edges, u - _NEAR * sigma), len(heights)):
-            beyond = k == len(edges) or edges[k] >= u + _NEAR * sigma
-            r = 0.0 if beyond else (u - edges[k]) / sigma
-            after, bell = (0.0, 0.0) if beyond else (_phi(r), exp(-0.5 * r * r))
-            t = (z - heights[k]) / sigma
-            g = peak * exp(-0.5 * t * t)
-            p, mean = p + (before - after) * g, mean + (before - after) * g * t
-            slope += (last - bell) * g
-            if beyond:
-                break
-            before, last = after, bell
+        u = c * points[i, 0] + s * points[i, 1]
+        p, mean, slope = _density_at(u, points[i, 2], edges, heights, sigma)
         density[i], off[i], push[i] = log(p), mean / p, slope / p
     return density, off, push
+
+
+@njit(cache=True, nogil=True)
+def _regular_flight(
+    rise: int, phase: int, ramp: tuple[float, float], ends: tuple[float, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Edges and heights [m] of the flight of one of `_RISES` along a ramp, of a slope and a height at the origin [m].
+
+    From the floor to the ceiling that are its `ends` [m]; the phase is one of `_PHASES`.
+    """
+    step, share = _RISES[rise], phase / _PHASES
+    first, last = np.ceil(ends[0] / step - share - 1.0), np.floor(ends[1] / step - share)
+    heights = (np.arange(first, last + 1.0) + share + 0.5) * step
+    return (heights[1:] - 0.5 * step - ramp[1]) / ramp[0], heights
+
+
+@njit(cache=True, nogil=True)
+def _try_regular(
+    points: FloatArray, angle: float, ramp: tuple[float, float], ends: tuple[float, float], sigma: float
+) -> FloatArray:
+    """Log likelihood of each `_regular_flight`, shape (rises, phases), -inf of one with too few edges."""
+    likely, c, s = np.full((len(_RISES), _PHASES), -np.inf), cos(angle), sin(angle)
+    for rise in range(len(_RISES)):
+        for phase in range(_PHASES):
+            edges, heights = _regular_flight(rise, phase, ramp, ends)
+            if len(edges) < _FEWEST_EDGES:
+                continue
+            total = 0.0
+            for i in range(len(points)):
+                u = c * points[i, 0] + s * points[i, 1]
+                total += log(_density_at(u, points[i, 2], edges, heights, sigma)[0])
+            likely[rise, phase] = total
+    return likely
 
 
 @njit(cache=True, nogil=True)

@@ -173,8 +173,7 @@ def _settle_stairs(points: FloatArray, ground: BoolArray, cured: Denoised) -> No
     cured.points[ground], cured.noise[ground] = moved, left
     rest = ~ground
     own, moved, left = points[rest], cured.points[rest], cured.noise[rest]
-    for flight in flights:
-        onto_risers(flight, own, cured.measured, moved, left)
+    onto_risers(flights, own, cured.measured, moved, left)
     cured.points[rest], cured.noise[rest] = moved, left
 
 

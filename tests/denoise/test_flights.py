@@ -112,7 +112,7 @@ def test_risers_are_set_and_things_on_treads_are_not() -> None:
     clean = np.concatenate([risers[~behind], box])
     points = clean + rng.normal(0.0, NOISE, clean.shape)
     moved, left = points.copy(), np.zeros(len(points))
-    onto_risers(flights[0], points, NOISE, moved, left)
+    onto_risers(flights, points, NOISE, moved, left)
     thing = np.arange(len(points)) >= (~behind).sum()
     far = ~thing & (np.abs(clean[:, 1] - 0.55) > 0.35)
     assert (left[far] > 0.0).mean() > 0.9
