@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_chunked, run_parallel
 from gpdf_service.perception.footing import ROUGH, by_treads, footing_reach, is_tread, on_treads, rings_of
+from gpdf_service.perception.ground_level import GroundLevel
 from gpdf_service.perception.ledges import FACE, LEAST_OBSTACLE, astray
-from gpdf_service.perception.levels import GroundLevel
 from gpdf_service.perception.limits import GroundLimits, ObstacleKind
 from gpdf_service.perception.strides import SOLE, STRIDE
 from gpdf_service.tiles.boxes import widened

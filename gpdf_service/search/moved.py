@@ -13,8 +13,8 @@ from gpdf_service.config import FieldConfig, SearchConfig
 from gpdf_service.fields import Nearer, build_tree
 from gpdf_service.fields.traversal import NearerArrays, nearest_only
 from gpdf_service.perception import CLEAN, GroundLevel, Levels, Obstacles, Scan, obstacles_of
-from gpdf_service.perception.levels import within_reach
 from gpdf_service.perception.limits import NO_LIMITS
+from gpdf_service.perception.others import within_reach
 from gpdf_service.perception.sheets import OVERLAP
 from gpdf_service.search.core import patch_core
 from gpdf_service.search.free_space import NONE, FreeSpace, fit_obstacle_field, joined
