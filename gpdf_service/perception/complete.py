@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.ground_level import Site
@@ -20,7 +19,7 @@ from gpdf_service.tiles.boxes import Box, highest_around, lowest_around
 from gpdf_service.tiles.rows import extent_within
 from gpdf_service.tiles.surface import UNKNOWN, HeightMap, Nearest
 from gpdf_service.tiles.told import Grid
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
 
 def complete(
@@ -39,17 +38,15 @@ def complete(
         near: Where the ground was seen, `nearest_seen`.
         site: Its rays tell what may stand on inferred ground where they are known; else fronts do.
     """
-    config = site.config
+    config, as_map = site.config, partial(HeightMap, seen.origin, seen.cell_width)
 
-    def stood(box: Box, beside: NDArray[np.float32]) -> tuple[FloatArray, BoolArray, BoolArray]:
+    def stood(box: Box, beside: Float32Array) -> tuple[FloatArray, BoolArray, BoolArray]:
         cell, z, lowest = held(box)
         return lowest, *standing(beside, lowest, cell, z, seen.cell_width)
 
-    def edges(
-        box: Box, height: NDArray[np.float32], state: NDArray[np.uint8], lowest: FloatArray
-    ) -> tuple[BoolArray, BoolArray]:
+    def edges(box: Box, height: Float32Array, state: ByteArray, lowest: FloatArray) -> tuple[BoolArray, BoolArray]:
         cell, z, _ = held(box)
-        return guard_edges(HeightMap(seen.origin, seen.cell_width, height, state), lowest, cell, z, config)
+        return guard_edges(as_map(height, state), lowest, cell, z, config)
 
     lowest, material, at_floor = grid.around("stood", 0, stood, near.height, points=True)
     filled = fill_holes(seen, grid, near, (material, at_floor), voids, config, site.noise)
@@ -57,21 +54,37 @@ def complete(
     stair, guarded = grid.around("edges", notch_reach(seen), edges, *own, points=True)
     if site.rays is not None:
         return seen_by_rays(filled, site.rays, config, site.noise), guarded
+    return _known_to_be_free(grid, filled, held, lowest, stair, config), guarded
 
-    def faces(box: Box, height: NDArray[np.float32], state: NDArray[np.uint8], stair: BoolArray) -> tuple[BoolArray]:
+
+def _known_to_be_free(
+    grid: Grid,
+    filled: HeightMap,
+    held: Callable[[Box], Held],
+    lowest: FloatArray,
+    stair: BoolArray,
+    config: PerceptionConfig,
+) -> HeightMap:
+    """The `filled` ground but for what a thing may stand on of which only a front was seen; see `without_hidden`.
+
+    The `lowest` other point of each cell [m] and which cells are a `stair`'s are told, shape (nx, ny).
+    """
+    as_map = partial(HeightMap, filled.origin, filled.cell_width)
+
+    def faces(box: Box, height: Float32Array, state: ByteArray, stair: BoolArray) -> tuple[BoolArray]:
         cell, z, _ = held(box)
-        part = HeightMap(seen.origin, seen.cell_width, height, state)
-        return (find_faces(part, cell, z, config.min_headroom) & ~stair,)  # a flight's treads were seen to its walls
+        face = find_faces(as_map(height, state), cell, z, config.min_headroom)
+        return (face & ~stair,)  # a flight's treads were seen to its walls
 
     def shown(
-        box: Box, height: NDArray[np.float32], state: NDArray[np.uint8], lowest: FloatArray, face: BoolArray
-    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        part = without_hidden(HeightMap(seen.origin, seen.cell_width, height, state), lowest, face)
+        box: Box, height: Float32Array, state: ByteArray, lowest: FloatArray, face: BoolArray
+    ) -> tuple[Float32Array, ByteArray]:
+        part = without_hidden(as_map(height, state), lowest, face)
         return part.height, part.state
 
-    (face,) = grid.around("faces", faces_reach(seen), faces, filled.height, filled.state, stair, points=True)
-    height, state = grid.around("shown", hidden_reach(seen), shown, *own, face)
-    return replace(seen, height=height, state=state), guarded
+    own = filled.height, filled.state
+    (face,) = grid.around("faces", faces_reach(filled), faces, *own, stair, points=True)
+    return as_map(*grid.around("shown", hidden_reach(filled), shown, *own, lowest, face))
 
 
 def notch_reach(surface: HeightMap) -> int:

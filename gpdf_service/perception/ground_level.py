@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.cloud import Cloud
@@ -17,7 +16,7 @@ from gpdf_service.perception.segment import LEAST_SCATTER
 from gpdf_service.tiles.layers import Layers
 from gpdf_service.tiles.surface import OBSERVED, UNKNOWN, HeightMap
 from gpdf_service.tiles.told import Grid
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import BoolArray, Float32Array, FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -35,7 +34,7 @@ class GroundLevel:
 
     surface: HeightMap
     other_points: FloatArray
-    ledge: NDArray[np.float32]
+    ledge: Float32Array
     measured: Measured
     edges: tuple[BoolArray, BoolArray]
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
@@ -31,7 +30,7 @@ from gpdf_service.tiles.points import Points, points_of
 from gpdf_service.tiles.rows import chosen_rows, rows_by_cell, taken
 from gpdf_service.tiles.surface import HeightMap, Nearest, changed, first_cell, is_same_ground, nearest_seen, placed
 from gpdf_service.tiles.told import Grid, moved, new_grid, shared
-from gpdf_service.types import BoolArray, FloatArray
+from gpdf_service.types import BoolArray, ByteArray, Float32Array, FloatArray
 
 ALONE = 0.25
 """[m] A point with no other in the voxels of this width around its own is a reflection; even a thin cable has more."""
@@ -260,12 +259,10 @@ def _nothing(part: Part, width: float) -> Made:
 def measure(grid: Grid, surface: HeightMap) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Steps and slopes of a level's ground, and its ridges, each of shape (nx, ny)."""
 
-    def steps(_: Box, height: NDArray[np.float32], state: NDArray[np.uint8]) -> tuple[FloatArray, FloatArray]:
+    def steps(_: Box, height: Float32Array, state: ByteArray) -> tuple[FloatArray, FloatArray]:
         return step_and_slope(replace(surface, height=height, state=state))
 
-    def over(
-        _: Box, height: NDArray[np.float32], state: NDArray[np.uint8], pits: NDArray[np.float32], *drops: BoolArray
-    ) -> tuple[BoolArray]:
+    def over(_: Box, height: Float32Array, state: ByteArray, pits: Float32Array, *drops: BoolArray) -> tuple[BoolArray]:
         return (ridges(replace(surface, height=height, state=state), FLIGHT_RISE, pits, drops[0] | drops[1]),)
 
     given, pits, drops = (surface.height, surface.state), grid.known["seen"].made[1], grid.known["voids"].made[:2]

@@ -25,7 +25,7 @@ from gpdf_service.tiles.columns import by_cell, runs_of, starts_spliced, take_ou
 from gpdf_service.tiles.rows import INDEX, between, chosen_rows, extent_within, rows_by_cell, taken, under
 from gpdf_service.tiles.surface import UNKNOWN, HeightMap, Nearest, cells_within, cropped
 from gpdf_service.tiles.told import Grid, boxes_of, grown
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
 PICKED = 0.4
 """[-] Share of the cells of a cloud from which on all points are read: to pick one out takes as long as to read two."""
@@ -42,7 +42,7 @@ class Others(NamedTuple):
     """
 
     points: FloatArray
-    ledge: NDArray[np.float32]
+    ledge: Float32Array
     first: IntArray
     unlike: BoolArray
 
@@ -82,7 +82,7 @@ def find_others(site: Site, sheet: BoolArray, seen: HeightMap, near: Nearest, gr
     """The points within reach over the seen ground of a `sheet`, and into the grid its voids, see `find_voids`."""
     width, max_step = seen.cell_width, site.config.max_step
 
-    def answer(_: Box, height: NDArray[np.float32], state: NDArray[np.uint8]) -> tuple[NDArray[Any], ...]:
+    def answer(_: Box, height: Float32Array, state: ByteArray) -> tuple[NDArray[Any], ...]:
         part = replace(seen, height=height, state=state)
         treads = (state != UNKNOWN) & flights(part, max_step, FLIGHT)
         return *lowest_and_highest(part), treads, find_rims(part)
@@ -117,7 +117,7 @@ def find_others(site: Site, sheet: BoolArray, seen: HeightMap, near: Nearest, gr
     return Others(other, ledge, first, unlike)
 
 
-def find_ledges_in(site: Site, surface: HeightMap, held: Others, asked: BoolArray) -> NDArray[np.float32]:
+def find_ledges_in(site: Site, surface: HeightMap, held: Others, asked: BoolArray) -> Float32Array:
     """The ledges, `find_ledges`, with those in the cells that are `asked` for told anew, box after box."""
     ledge, shape = held.ledge.copy(), surface.state.shape
     reach = max(shape) if site.noise > 0.0 else ground_reach(surface) + ledge_reach(surface)  # noise asks others, too

@@ -18,7 +18,7 @@ from gpdf_service.tiles.columns import ends_in_plan, put_heights_in_plan
 from gpdf_service.tiles.layers import BLOCK, Layers
 from gpdf_service.tiles.surface import OBSERVED, UNKNOWN, HeightMap, cropped
 from gpdf_service.tiles.told import Grid
-from gpdf_service.types import BoolArray
+from gpdf_service.types import BoolArray, ByteArray, Float32Array
 
 
 def part_of(layers: Layers, sheet: BoolArray) -> Part:
@@ -50,8 +50,8 @@ def sheet_surface(grid: Grid, layers: Layers, part: Part, max_step: float, noise
     whole = HeightMap(part.origin, layers.cell_width, height, np.zeros(part.shape, np.uint8))
 
     def answer(
-        box: Box, height: NDArray[np.float32], pairs: NDArray[np.complex64]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]:
+        box: Box, height: Float32Array, pairs: NDArray[np.complex64]
+    ) -> tuple[Float32Array, Float32Array, ByteArray]:
         off = np.ascontiguousarray(pairs)[..., None].view(np.float32)
         state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
         seen = replace(cropped(whole, box), height=height, state=state)
