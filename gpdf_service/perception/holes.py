@@ -93,7 +93,7 @@ def fill_holes(
     """
     if surface.cell_width >= widest_cell(config):
         return surface
-    seen_through, pit, walls, hollow = voids
+    seen_through, pit, *_ = voids
     height, state = _fill_gaps(grid, "gaps", surface.height, surface.state, surface, noise)
 
     def notched(_: Box, height: Float32Array, state: ByteArray, beneath: BoolArray) -> tuple[Float32Array, ByteArray]:
@@ -103,15 +103,21 @@ def fill_holes(
     given = height, state, seen_through | pit
     height, state = grid.around("notches", notches_reach(surface, config), notched, *given)
     known = state != UNKNOWN
-    close = near.distance <= MAX_HOLE_RADIUS
-    (walled,) = grid.whole("walled down", lambda *_: (_walled_down(surface, walls),), walls, surface.state)
-    ends = seen_through | pit | walled | ~close | _near_hollow(surface, hollow)
-    ends[[0, -1]] = ends[:, [0, -1]] = True
+    ends = _no_holes(grid, surface, near, voids)
     held, at_floor = material
     height, state = _fill_planes(grid, ends, surface.cell_width, (height, state), ~known & ~held, known)
     height, state = _fill_single(np.flatnonzero(at_floor & (state == UNKNOWN)), height, state)
     height, state = _fill_gaps(grid, "gaps left", height, state, surface, noise)  # of larger ones
     return replace(surface, height=height, state=state)
+
+
+def _no_holes(grid: Grid, surface: HeightMap, near: Nearest, voids: Voids) -> BoolArray:
+    """Cells that are in no hole which ground fills, see `fill_holes`, shape (nx, ny)."""
+    seen_through, pit, walls, hollow = voids
+    (walled,) = grid.whole("walled down", lambda *_: (_walled_down(surface, walls),), walls, surface.state)
+    ends: BoolArray = seen_through | pit | walled | (near.distance > MAX_HOLE_RADIUS) | _near_hollow(surface, hollow)
+    ends[[0, -1]] = ends[:, [0, -1]] = True
+    return ends
 
 
 def standing(beside: Float32Array, lowest: FloatArray, cell: IntArray, z: FloatArray, cell_width: float) -> Material:
@@ -222,7 +228,7 @@ def _fill_gaps(
             gaps |= _small(empty & _between(~empty), near.distance, surface.cell_width)
         small = np.flatnonzero(gaps)
         made = near.height.ravel()[small]
-        run_chunked(lambda a, b: _onto_bends(seen, reach, max(FINE, FLAT * noise), small, a, b, made), len(small))
+        run_chunked(lambda a, b: _onto_bends(seen, reach, max(FINE, FLAT * noise), small[a:b], made[a:b]), len(small))
         height.ravel()[small], state.ravel()[small] = made, INFERRED
         return height, state
 
@@ -231,18 +237,10 @@ def _fill_gaps(
 
 
 @njit(cache=True, nogil=True)
-def _onto_bends(
-    height: Float32Array,
-    reach: int,
-    flat: float,
-    cells: IntArray,
-    begin: int,
-    end: int,
-    made: Float32Array,
-) -> None:
+def _onto_bends(height: Float32Array, reach: int, flat: float, cells: IntArray, made: Float32Array) -> None:
     """Put `cells` that are not at the rim onto the quadric through the seen cells around where it is `flat` [m]."""
     (nx, ny), sums = height.shape, make_sums()
-    for k in range(begin, end):
+    for k in range(len(cells)):
         i, j = cells[k] // ny, cells[k] % ny
         if 0 < i < nx - 1 and 0 < j < ny - 1:
             shift, smooth = bend_at(height, i, j, reach, float(made[k]), flat, sums)

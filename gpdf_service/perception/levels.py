@@ -95,24 +95,26 @@ def survey_levels(
     width = cell_width_of(floor, config) if width is None else width
     check_grid(floor, len(points), width, LEVEL_BYTES, config)
 
-    def find_sheets(floor: FloatArray) -> tuple[Beside, tuple[BoolArray, ...]]:
-        near = beside(build_layers(floor, width, layer_gap(width, config)))
-        return near, split_sheets(near, config)
-
-    (near, sheets), stray = run_beside(partial(find_sheets, floor), partial(find_strays, points, alone(width)))
-    if not sheets:
-        found = f"no piece of the ground is as large as three by three cells of {width:.2g} m"
-        raise NoGroundError("ground", found, "Are its samples further apart than a foot bridges? Scan it more densely.")
+    (near, sheets), stray = run_beside(
+        partial(_find_sheets, floor, width, config), partial(find_strays, points, alone(width))
+    )
     kept = sum(np.prod(part_of(near.layers, sheet).shape) for sheet in sheets) / np.prod(near.layers.shape) - 1.0
     check_grid(floor, len(points), width, LEVEL_BYTES + KEPT_BYTES * max(kept, 0.0), config)
     stray &= ~ground
     del floor
     cells = np.ones(near.layers.shape, dtype=bool)
-    return _levels_of(
-        Site(Cloud(held or points_of(points), points[:0]), ground, stray, near.layers, cells, config, noise, rays),
-        near,
-        sheets,
-    )
+    cloud = Cloud(held or points_of(points), points[:0])
+    return _levels_of(Site(cloud, ground, stray, near.layers, cells, config, noise, rays), near, sheets)
+
+
+def _find_sheets(floor: FloatArray, width: float, config: PerceptionConfig) -> tuple[Beside, tuple[BoolArray, ...]]:
+    """Nodes of the ground points, shape (n, 3) [m], in cells of that `width` [m], and which are of each sheet."""
+    near = beside(build_layers(floor, width, layer_gap(width, config)))
+    sheets = split_sheets(near, config)
+    if not sheets:
+        found = f"no piece of the ground is as large as three by three cells of {width:.2g} m"
+        raise NoGroundError("ground", found, "Are its samples further apart than a foot bridges? Scan it more densely.")
+    return near, sheets
 
 
 def change_levels(
@@ -196,14 +198,7 @@ def _make_level(site: Site, sheet: BoolArray, part: Part, before: Made | None) -
     What a cell holds depends on the points of its column and on cells within a known reach: so only the cells are
     looked at, and the points in them read, for which any of this is another than before.
     """
-    (x, y), (nx, ny), config = part.first, part.shape, site.config
-    was, columns = before or _nothing(part, site.layers.cell_width), np.ones(part.shape, dtype=bool)
-    fresh = np.zeros_like(columns)
-    if before is not None:
-        columns = site.cells[x : x + nx, y : y + ny]
-        if not _same_box(before.level.surface, part):
-            was = _moved(before, part)
-            fresh = was.grid.others
+    config, (was, columns, fresh) = site.config, _asked_of(site, part, before)
     grid = was.grid.now(columns | fresh)
     seen = sheet_surface(grid, site.layers, part, config.max_step, site.noise)
     if not grid.felt("seen", 0, *grid.known["seen"].given, points=True).any():
@@ -232,6 +227,18 @@ def _make_level(site: Site, sheet: BoolArray, part: Part, before: Made | None) -
     if not touched.any():
         return Made(was.level, grid.lasting(), held.first, None)
     return Made(GroundLevel(surface, held.points, ledge, measured, both), grid.lasting(), held.first, touched)
+
+
+def _asked_of(site: Site, part: Part, before: Made | None) -> tuple[Made, BoolArray, BoolArray]:
+    """What a level is made from, in the box of a `part`; the columns that changed, and those that are new to it."""
+    if before is None:
+        return _nothing(part, site.layers.cell_width), np.ones(part.shape, dtype=bool), np.zeros(part.shape, dtype=bool)
+    (x, y), (nx, ny) = part.first, part.shape
+    columns = site.cells[x : x + nx, y : y + ny]
+    if _same_box(before.level.surface, part):
+        return before, columns, np.zeros_like(columns)
+    was = _moved(before, part)
+    return was, columns, was.grid.others
 
 
 def _moved(made: Made, part: Part) -> Made:

@@ -335,29 +335,29 @@ def _apart(near: Beside, parts: Parts, group: IntArray, main: BoolArray, config:
     asked = large & (open_ | storey)
     if not asked.any():
         return asked
-    label, keep = parts.pieces.whole, np.concatenate(parts.keep)
-    of_node, ours = group[label], keep & main[label]
-    nodes, holds = np.flatnonzero(keep & asked[of_node]), _holding(layers, ours)
-
-    def share(kind: BoolArray) -> FloatArray:
-        made: FloatArray = np.bincount(of_node[nodes[kind]], minlength=count) / np.maximum(size, 1)
-        return made
-
-    rise = layers.height[nodes] - _beside(layers, ours, holds)[layers.cell[nodes]]
-    height, of = layers.height[nodes], np.unique(of_node[nodes], return_inverse=True)[1]
-    level = np.abs(height - ndimage.median(height, of, np.arange(of.max() + 1))[of]) <= config.max_step
-    even, sunk, low, lofty = (
-        share(kind) >= 1.0 - OVER_SHARE
-        for kind in (
-            np.abs(rise) <= config.max_step,
-            rise < -config.max_step,
-            rise < config.storey_headroom,
-            level & (rise >= config.storey_headroom),
-        )
-    )
+    even, sunk, low, lofty = _over_main(near, parts, group, main, asked, config)
     storey &= vast | (lofty & (area >= ROOM_AREA))
     found: BoolArray = asked & (even | storey | (open_ & (sunk | vast & low)))
     return found
+
+
+def _over_main(
+    near: Beside, parts: Parts, group: IntArray, main: BoolArray, asked: BoolArray, config: PerceptionConfig
+) -> list[BoolArray]:
+    """Of the groups that are `asked` about which are within a step of the `main` ground beside them, and below it.
+
+    Further, which are lower over it than a storey, and which are level and no lower than that; shape (groups,).
+    """
+    layers, label, keep = near.layers, parts.pieces.whole, np.concatenate(parts.keep)
+    of_node, ours = group[label], keep & main[label]
+    nodes, holds, step = np.flatnonzero(keep & asked[of_node]), _holding(layers, ours), config.max_step
+    height, own = layers.height[nodes], of_node[nodes]
+    rise, of = height - _beside(layers, ours, holds)[layers.cell[nodes]], np.unique(own, return_inverse=True)[1]
+    level = np.abs(height - ndimage.median(height, of, np.arange(of.max() + 1))[of]) <= step
+    tall = rise >= config.storey_headroom
+    size = np.maximum(np.bincount(group, parts.size, len(asked)).astype(np.int64), 1)
+    kinds = np.abs(rise) <= step, rise < -step, rise < config.storey_headroom, level & tall
+    return [np.bincount(own[kind], minlength=len(asked)) / size >= 1.0 - OVER_SHARE for kind in kinds]
 
 
 def _over_and_open(layers: Layers, _: BoolArray, room: BoolArray, main: BoolArray, headroom: float) -> Answer:

@@ -260,11 +260,12 @@ def find_ground(near: Beside, config: PerceptionConfig, relief: FloatArray = LEV
     (flight,) = near.around("flight", int(STRIDE / width), partial(_flight, config=config), *given)
     smooth = near.each("over", lambda wide, low, core: wide | low | core, wide, low, core)
     roof = _roofs(near, smooth, seeds, rise, config)
-    given = wide, low, roof, flight
-    found = near.each("found", lambda wide, low, roof, flight: (wide | low) & ~roof | flight, *given)
+    kinds = wide, low, roof, flight
+    found = near.each("found", lambda wide, low, roof, flight: (wide | low) & ~roof | flight, *kinds)
     low = low_things(near, found, raised_over_sides(near, found, config), relief, config)
-    given = found, low, boxes(near, found, config), flight
-    ground = near.each("ground", lambda found, low, box, flight: found & ~((low | box) & ~flight), *given)
+    box = boxes(near, found, config)
+    things = near.each("things", lambda low, box, flight: (low | box) & ~flight, low, box, flight)
+    ground = near.each("ground", lambda found, things: found & ~things, found, things)
     if not any(each.any() for each in ground):
         raise NoGroundError(*NO_SURFACE)
     return ground
@@ -297,17 +298,9 @@ def _surfaces(
     return core, keep, flat, smooth == 8
 
 
-def _flight(
-    layers: Layers,
-    again: BoolArray,
-    wide: BoolArray,
-    keep: BoolArray,
-    under: BoolArray,
-    seeds: BoolArray,
-    stands: BoolArray,
-    config: PerceptionConfig,
-) -> tuple[BoolArray]:
+def _flight(layers: Layers, again: BoolArray, *given: BoolArray, config: PerceptionConfig) -> tuple[BoolArray]:
     """Treads among the `seeds`, on which no body `stands` by itself, and what lies between; see `find_between`."""
+    wide, keep, under, seeds, stands = given
     asked = (wide | (keep & ~over_ground(layers, wide, config.step_headroom))) & ~seeds & ~under
     treads = seeds & ~stands
     return (treads | find_between(layers, seeds, treads, asked & again, config),)
