@@ -260,12 +260,11 @@ def find_ground(near: Beside, config: PerceptionConfig, relief: FloatArray = LEV
     (flight,) = near.around("flight", int(STRIDE / width), partial(_flight, config=config), *given)
     smooth = near.each("over", lambda wide, low, core: wide | low | core, wide, low, core)
     roof = _roofs(near, smooth, seeds, rise, config)
-    kinds = wide, low, roof, flight
-    found = near.each("found", lambda wide, low, roof, flight: (wide | low) & ~roof | flight, *kinds)
+    told = wide, low, roof, flight
+    found = near.each("found", lambda wide, low, roof, flight: (wide | low) & ~roof | flight, *told)
     low = low_things(near, found, raised_over_sides(near, found, config), relief, config)
-    box = boxes(near, found, config)
-    things = near.each("things", lambda low, box, flight: (low | box) & ~flight, low, box, flight)
-    ground = near.each("ground", lambda found, things: found & ~things, found, things)
+    told = found, low, boxes(near, found, config), flight
+    ground = near.each("ground", lambda found, low, box, flight: found & ~((low | box) & ~flight), *told)
     if not any(each.any() for each in ground):
         raise NoGroundError(*NO_SURFACE)
     return ground
