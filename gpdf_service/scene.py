@@ -59,6 +59,7 @@ from gpdf_service.perception.segment import LEAST_SCATTER
 from gpdf_service.search import (
     FreeSpace,
     Prefer,
+    Setup,
     Ways,
     add_moving,
     build_free_space,
@@ -351,19 +352,19 @@ class Scene:
 
     def _make_space(self, body: Agent) -> FreeSpace:
         parts = self.levels, self.ground_fields
-        config = self.config.search, self.config.fields
         if (stored := self._stored.get(body)) is not None:
             return from_arrays(stored(), body, *parts, self.config.search, self.noise)
+        setup = Setup(self.config.search, self.config.fields, self.scan)
         if self._standing is not None:
             stands = self._standing.free_space(body)
-            return add_moving(stands, self.levels, self.moving, *config, self.scan)
+            return add_moving(stands, self.levels, self.moving, setup)
         former = self._former.get(body)
         if former is not None:
             (space, touched), known = former, self.perceived
             if known is not None:
                 first = [made.first for made in known.survey.made]
-                return change_free_space(space, *parts, touched, first, *config, self.scan)
-        return build_free_space(*parts, body, *config, self.scan)
+                return change_free_space(space, *parts, touched, first, setup)
+        return build_free_space(*parts, body, setup)
 
     def _spaces_before(
         self, touched: Touched, grounds: tuple[HeightMap, ...]
@@ -679,12 +680,7 @@ def assemble_scene(
     levels, survey = survey_levels(points, labelled, config.perception, width=width, noise=noise, rays=rays, held=held)
     give_back(len(cloud))
     progress("fit ground fields", 0.7)
-    old = () if like is None else tuple(zip(like.ground_fields, like.levels.levels, strict=True))
-
-    def fit(i: int) -> Gpdf:
-        return _fit_ground(levels.levels[i], config, old[i] if i < len(old) else None)
-
-    fields = tuple(run_parallel(fit, range(len(levels.levels))))
+    fields = _fit_grounds(levels, config, like)
     progress("ready", 1.0)
     noise = cured.measured if cured.measured > config.perception.negligible_noise else 0.0
     version = 1 if like is None else like.version + 1
@@ -692,6 +688,16 @@ def assemble_scene(
     perceived = Perceived(held, ground, segmentation, levels, survey).lasting() if lasting else None
     facts = version, in_steps(noise, NOISE_STEP), labels is not None
     return Scene(held if lasting else cloud, ground, levels, fields, config, *facts, perceived, rays=rays)
+
+
+def _fit_grounds(levels: Levels, config: Config, like: Scene | None) -> tuple[Gpdf, ...]:
+    """The Ground GPDF of each level; what is as it was in the scene `like` is taken over."""
+    old = () if like is None else tuple(zip(like.ground_fields, like.levels.levels, strict=True))
+
+    def fit(i: int) -> Gpdf:
+        return _fit_ground(levels.levels[i], config, old[i] if i < len(old) else None)
+
+    return tuple(run_parallel(fit, range(len(levels.levels))))
 
 
 def _lattice(level: GroundLevel, config: Config, corner: FloatArray | None = None) -> Lattice:

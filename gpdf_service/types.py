@@ -20,6 +20,8 @@ from gpdf_service.errors import RequestError, UnknownAgentError
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+Float32Array = NDArray[np.float32]
+ByteArray = NDArray[np.uint8]
 
 SMALLEST_BODY, LARGEST_BODY = 0.05, 5.0
 """[m] Of a body that can be planned for: the finest cell of the ground, and a lorry. Free space of a body a tenth as

@@ -14,7 +14,7 @@ from numba import njit
 
 from gpdf_service.fields.order import corners_of, order_by
 from gpdf_service.fields.shapes import add
-from gpdf_service.fields.spacing import NEIGHBOURS, SAMPLE
+from gpdf_service.fields.spacing import NEIGHBOURS, SAMPLE, keep_least
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.kernel_cache import lean
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -330,16 +330,9 @@ def _kth_range(
 @lean()
 def _take_nearest(points: FloatArray, rows: IntArray, own: FloatArray, least: FloatArray) -> None:
     """Write the least of what was so and how far some points are [m²], in order; the place itself is one of them."""
-    last = len(least) - 1
     for row in rows:
         off = (points[row, 0] - own[0]) ** 2 + (points[row, 1] - own[1]) ** 2 + (points[row, 2] - own[2]) ** 2
-        if off >= least[last]:
-            continue
-        at = last
-        while at > 0 and least[at - 1] > off:
-            least[at] = least[at - 1]
-            at -= 1
-        least[at] = off
+        keep_least(least, off)
 
 
 def cells_around(cells: Cells, asked: BoolArray) -> BoolArray:

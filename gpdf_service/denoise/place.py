@@ -15,7 +15,7 @@ from gpdf_service.denoise.turns import fit_by_turns, look_at
 from gpdf_service.denoise.votes import LIGHT, VOTES, Room, cluster, collect, make_room, onto_plane
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.kernel_cache import lean
-from gpdf_service.types import BoolArray, FloatArray
+from gpdf_service.types import BoolArray, Float32Array, FloatArray
 
 _MOST = 200
 """Points of a window that planes which meet are fitted to."""
@@ -36,7 +36,7 @@ class Placed(NamedTuple):
     points: FloatArray
     error: FloatArray
     pending: BoolArray
-    normal: NDArray[np.float32]
+    normal: Float32Array
 
 
 def place_in_cells(windows: Windows, placed: Placed, least: int = 0) -> None:

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from gpdf_service.denoise.cells import (
     AROUND,
@@ -27,14 +26,14 @@ from gpdf_service.fields.shapes import FEWEST, fit_axis, fit_plane
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.tree import VECTORS
 from gpdf_service.kernel_cache import lean
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import BoolArray, Float32Array, FloatArray, IntArray
 
 SHEETS = 2
 """Planes that a window can have."""
 NUMBERS = 10
 """Of a plane: its normal, the middle of its points from the window's, how many they are, (λ₂ − λ₁)² / λ₂, the standard
 error of its direction [rad], and how well it explains them and has its noise inside the window, 0 to 1."""
-Planes = NDArray[np.float32]
+Planes = Float32Array
 """Shape (m, `SHEETS`, `NUMBERS`); 0 points where there is none."""
 THICK = 2.5
 """[-] Standard errors by which λ₁ may exceed σ²: more, and it is another shape."""
@@ -66,7 +65,7 @@ class Windows(NamedTuple):
     cells: Cells
     sigma: float
     planes: Planes
-    main: NDArray[np.float32]
+    main: Float32Array
 
 
 def find_planes(cells: Cells, sigma: float, wanted: BoolArray) -> Windows:

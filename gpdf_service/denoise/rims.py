@@ -10,7 +10,6 @@ from math import sqrt
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from gpdf_service.denoise.cells import Cells, begin_sweep, centre_of, count_in, runs_within
 from gpdf_service.denoise.place import Placed
@@ -19,7 +18,7 @@ from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.tree import VECTORS
 from gpdf_service.kernel_cache import lean
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import BoolArray, Float32Array, FloatArray, IntArray
 
 _SAME = 0.5
 """[-] Standard deviations off a plane that what lies on it is at most, after it was placed."""
@@ -105,7 +104,7 @@ def _sum_window(cells: Cells, c: int, runs: IntArray, sums: FloatArray, total: F
 
 
 @lean()
-def _is_inside(total: FloatArray, normal: NDArray[np.float32], width: float) -> bool:
+def _is_inside(total: FloatArray, normal: Float32Array, width: float) -> bool:
     """Whether the points of a window lie to all sides of its middle along the surface."""
     off, square = 0.0, 0.0
     for k in range(3):

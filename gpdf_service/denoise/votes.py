@@ -12,13 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from gpdf_service.denoise.cells import AROUND, offset_of
 from gpdf_service.denoise.planes import SHEETS, Windows
 from gpdf_service.fields.tree import larger, lesser
 from gpdf_service.kernel_cache import lean
-from gpdf_service.types import FloatArray, IntArray
+from gpdf_service.types import Float32Array, FloatArray, IntArray
 
 KINDS = 4
 """Planes of one cell at most: three that meet in a corner, and a sheet beside them."""
@@ -102,7 +101,7 @@ def collect(windows: Windows, near: IntArray, votes: FloatArray) -> int:
 
 @lean()
 def add_vote(
-    plane: NDArray[np.float32],
+    plane: Float32Array,
     offset: tuple[float, float, float],
     width: float,
     sigma: float,

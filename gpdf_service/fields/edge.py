@@ -68,7 +68,7 @@ def _by_turns(near: FloatArray, count: int, side: IntArray, pair: FloatArray) ->
             pair[k, 0:3], pair[k, 6] = mean, moments[k, 0]
         if not meet(pair):
             return np.inf
-        left, changed, level = 0.0, 0, is_more_level(pair, 1)
+        left, changed, level = 0.0, 0, is_second_more_level(pair)
         first, second = _inwards(pair, 0), _inwards(pair, 1)
         for i in range(count):
             one, other = _from_half(pair, 0, first, near[i]), _from_half(pair, 1, second, near[i])
@@ -133,9 +133,9 @@ def _from_half(pair: FloatArray, k: int, inwards: tuple[float, float, float], x:
 
 
 @njit(cache=True, nogil=True)
-def is_more_level(pair: FloatArray, k: int) -> bool:
-    """Whether half plane k leans less than the other one, or as much and more along x."""
-    n, o = pair[k, 3:6], pair[1 - k, 3:6]
+def is_second_more_level(pair: FloatArray) -> bool:
+    """Whether the second half plane leans less than the first, or as much and more along x."""
+    o, n = pair[0, 3:6], pair[1, 3:6]
     lean = abs(n[2]) - abs(o[2])
     return bool(lean > _EQUAL or (lean >= -_EQUAL and abs(n[0]) > abs(o[0]) + _EQUAL))
 
@@ -144,7 +144,7 @@ def is_more_level(pair: FloatArray, k: int) -> bool:
 def nearest_half(pair: FloatArray, x: FloatArray) -> int:
     """The half plane that is nearer to x; on the line where they meet the more level one."""
     one, other = _from_half(pair, 0, _inwards(pair, 0), x), _from_half(pair, 1, _inwards(pair, 1), x)
-    return _nearer(one, other, is_more_level(pair, 1))
+    return _nearer(one, other, is_second_more_level(pair))
 
 
 @njit(cache=True, nogil=True)

@@ -21,7 +21,7 @@ from gpdf_service.fields.order import is_before
 from gpdf_service.fields.threads import run_parallel
 from gpdf_service.fields.traversal import CUT_RADIUS, decay
 from gpdf_service.fields.tree import LEAF_SIZE, Tree, from_root, lesser, longer, make_scratch, next_leaf, place_of
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import BoolArray, Float32Array, FloatArray, IntArray
 
 HALO = 9.0
 """[-] Width of the halo in length scales: two cuts of the kernel; α is then within 1e-3 of that of one piece."""
@@ -66,9 +66,9 @@ class Part(NamedTuple):
     start: IntArray
     middle: IntArray
     column: NDArray[np.uint32]
-    weight: NDArray[np.float32]
+    weight: Float32Array
     near: IntArray
-    inverse: NDArray[np.float32]
+    inverse: Float32Array
 
 
 class _System(NamedTuple):
@@ -216,7 +216,7 @@ def _assemble(system: _System, begin: int, end: int) -> Part:
 
 
 @njit(cache=True, nogil=True)
-def _own_first(column: NDArray[np.uint32], weight: NDArray[np.float32], first: int, last: int, size: int) -> int:
+def _own_first(column: NDArray[np.uint32], weight: Float32Array, first: int, last: int, size: int) -> int:
     """Put the columns of a row that are less than `size` before the others; where these begin."""
     middle = first
     for e in range(first, last):
@@ -277,7 +277,7 @@ def _descend(part: Part, step: float, p: FloatArray, Kp: FloatArray, x: FloatArr
 def _nearest_further(
     points: FloatArray,
     rows: IntArray,
-    held: tuple[IntArray, IntArray, NDArray[np.uint32], NDArray[np.float32]],
+    held: tuple[IntArray, IntArray, NDArray[np.uint32], Float32Array],
     begin: int,
 ) -> IntArray:
     """What is `near` in a `Part`. Places have an order of their own: they may come in any other.
@@ -307,7 +307,7 @@ def _nearest_further(
 @njit(cache=True, nogil=True)
 def _approximate_inverse(
     points: FloatArray, rows: IntArray, near: IntArray, begin: int, rate: float, noise_variance: float
-) -> NDArray[np.float32]:
+) -> Float32Array:
     """G's rows from `begin` on, see `Part`: each solves K + σ² I of its point and those near.
 
     Kolotilina and Yeremin 1993; in the terms of the GP each point is told from its nearest ones alone, Vecchia 1988.
@@ -343,7 +343,7 @@ def _approximate_inverse(
 
 
 @njit(cache=True, nogil=True)
-def _precondition(near: IntArray, inverse: NDArray[np.float32], r: FloatArray, z: FloatArray) -> float:
+def _precondition(near: IntArray, inverse: Float32Array, r: FloatArray, z: FloatArray) -> float:
     """Write z = GᵀG r; gives z · r. On one core, as two would write to the same rows; it is a fifth of a step."""
     product = 0.0
     z[:] = 0.0

@@ -14,6 +14,7 @@ from gpdf_service.fields.order import corners_of, is_before, order_by
 from gpdf_service.fields.shapes import MOST, add, fit_axis, fit_plane, gather
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.tree import Tree, build_tree, from_root, make_look, make_scratch, next_leaf, place_of
+from gpdf_service.kernel_cache import lean
 from gpdf_service.types import FloatArray, IntArray
 
 SAMPLE = 4000
@@ -53,16 +54,23 @@ def _kth_range(tree: Tree, places: FloatArray, k: int, distance: FloatArray) -> 
             if leaf < 0:
                 break
             for j in range(tree.begin[leaf + 1] - tree.begin[leaf]):
-                block, at, square = tree.blocks[leaf], k, 0.0
+                block, square = tree.blocks[leaf], 0.0
                 for axis in range(3):
                     square += (block[axis, j] - x[axis]) ** 2
-                if square >= near[k]:
-                    continue
-                while at > 0 and near[at - 1] > square:
-                    near[at] = near[at - 1]
-                    at -= 1
-                near[at] = square
+                keep_least(near, square)
         distance[i] = sqrt(near[k])
+
+
+@lean()
+def keep_least(least: FloatArray, value: float) -> None:
+    """Put a value among the `least` ones so far, which ascend, where it belongs; the largest one goes."""
+    at = len(least) - 1
+    if value >= least[at]:
+        return
+    while at > 0 and least[at - 1] > value:
+        least[at] = least[at - 1]
+        at -= 1
+    least[at] = value
 
 
 def local_shape(tree: Tree, rows: IntArray, spacing: float, noise: FloatArray) -> FloatArray:

@@ -7,12 +7,12 @@ from gpdf_service.perception.change import change as change
 from gpdf_service.perception.cloud import WholeError as WholeError
 from gpdf_service.perception.cure import Sampling as Sampling
 from gpdf_service.perception.cure import cure_and_segment as cure_and_segment
+from gpdf_service.perception.ground_level import GroundLevel as GroundLevel
+from gpdf_service.perception.ground_level import Levels as Levels
+from gpdf_service.perception.ground_level import Portal as Portal
+from gpdf_service.perception.ground_level import count_undecided as count_undecided
 from gpdf_service.perception.keep import levels_from_arrays as levels_from_arrays
 from gpdf_service.perception.keep import levels_to_arrays as levels_to_arrays
-from gpdf_service.perception.levels import GroundLevel as GroundLevel
-from gpdf_service.perception.levels import Levels as Levels
-from gpdf_service.perception.levels import Portal as Portal
-from gpdf_service.perception.levels import count_undecided as count_undecided
 from gpdf_service.perception.levels import survey_levels as survey_levels
 from gpdf_service.perception.limits import GroundLimits as GroundLimits
 from gpdf_service.perception.limits import ObstacleKind as ObstacleKind

@@ -6,9 +6,9 @@ from math import ceil
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from gpdf_service.fields.heights import Sums, add_height, clear, fit_heights
+from gpdf_service.types import Float32Array
 
 REACH = 11.4
 """[-] Radius of the surroundings over the noise: that of the largest neighbourhood that a point is cured by. What the
@@ -32,7 +32,7 @@ def reach_of(width: float, noise: float) -> int:
 
 @njit(cache=True, nogil=True)
 def bend_at(
-    height: NDArray[np.float32], i: int, j: int, reach: int, base: float, flat: float, sums: Sums
+    height: Float32Array, i: int, j: int, reach: int, base: float, flat: float, sums: Sums
 ) -> tuple[float, bool]:
     """Height over `base` [m] at a cell of the quadric through the others around, and whether they are smooth ground.
 

@@ -21,7 +21,7 @@ from gpdf_service.perception.strides import SOLE
 from gpdf_service.tiles.beside import Beside, Strips
 from gpdf_service.tiles.boxes import lowest_around
 from gpdf_service.tiles.layers import HALF, Layers
-from gpdf_service.tiles.nodes import components, extents_in_plan
+from gpdf_service.tiles.nodes import components, extents_of, plan_sums
 from gpdf_service.tiles.pairs import Columns, pairs_around
 from gpdf_service.tiles.pieces import find_pieces
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -57,7 +57,7 @@ def low_things(near: Beside, ground: Strips, raised: Strips, relief: FloatArray,
         relief: Of the ground [m], shape (k,), or (1,) where it is the same everywhere.
         config: Limits.
     """
-    layers, columns = near.layers, near.layers.columns
+    layers = near.layers
     slope = layers.cell_width * float(np.tan(config.steepest))
     nodes, most, piece = _raised(near, "bumps", LEAST_BUMP, raised, slope)
     around = _roughness(near, nodes, piece, (ground, raised), config)
@@ -65,13 +65,10 @@ def low_things(near: Beside, ground: Strips, raised: Strips, relief: FloatArray,
     nodes, most = nodes[rough], most[rough]
     if len(nodes) == 0:
         return near.among("low things", nodes)
-    found, over = np.zeros(len(layers.cell), dtype=bool), np.concatenate(ground)
-    found[nodes] = True
-    piece = _pieces(nodes, columns, found, slope)
-    length, depth = extents_in_plan(layers.cell[nodes], layers.shape[1], found[nodes], piece, layers.cell_width)
+    piece = _pieces(layers, nodes, slope)
+    length, depth = _extents(layers, nodes, piece)
     stays = (length >= config.standing_width) & (length >= LONG * depth)
-    a, b = pairs_around(nodes, columns, over & ~found, 0.0, config.max_step)
-    drop = layers.height[nodes[a]] - layers.height[b]
+    a, drop = _drops_beside(layers, nodes, ground, config)
     stays |= _are_places(near, "low places", nodes, most, piece, ground, config)
     stays[piece[a[drop < -LEAST_BUMP]]] = True
     least = relief if len(relief) == 1 else relief[nodes]
@@ -92,15 +89,11 @@ def boxes(near: Beside, ground: Strips, config: PerceptionConfig) -> Strips:
     nodes, most, piece = _raised(near, "boxes", slope, raised, slope)
     if len(nodes) == 0:
         return near.among("boxes", nodes)
-    over = np.concatenate(ground)
-    nodes, most, piece = _with_tops(layers, nodes, most, piece, over, config)
-    found = np.zeros(len(layers.cell), dtype=bool)
-    found[nodes] = True
-    length, depth = extents_in_plan(layers.cell[nodes], layers.shape[1], found[nodes], piece, layers.cell_width)
-    a, b = pairs_around(nodes, layers.columns, over & ~found, 0.0, config.max_step)
-    drop, count = layers.height[nodes[a]] - layers.height[b], len(depth)
+    nodes, most, piece = _with_tops(layers, nodes, most, piece, np.concatenate(ground), config)
+    length, depth = _extents(layers, nodes, piece)
+    a, drop = _drops_beside(layers, nodes, ground, config)
     rim, steps, up = (
-        np.bincount(piece[a[kind]], minlength=count)
+        np.bincount(piece[a[kind]], minlength=len(depth))
         for kind in (drop < np.inf, drop >= 0.5 * most[a], drop < -LEAST_BUMP)
     )
     narrow = (depth >= SOLE) & (length < LONG * depth) & (up == 0)
@@ -153,9 +146,8 @@ def _with_tops(
     made = np.zeros(len(ground))
     _join_tops(nodes[last], layers.columns, ground, raised[last], (reach, room), config.max_step, made)
     made[nodes] = raised
-    found = made > 0.0
-    nodes, slope = np.flatnonzero(found), layers.cell_width * float(np.tan(config.steepest))
-    return nodes, made[nodes], _pieces(nodes, layers.columns, found, slope)
+    nodes = np.flatnonzero(made > 0.0)
+    return nodes, made[nodes], _pieces(layers, nodes, layers.cell_width * float(np.tan(config.steepest)))
 
 
 @njit(cache=True, nogil=True)
@@ -172,7 +164,7 @@ def _raised(
     near: Beside, name: str, least: float, raised: Strips, slope: float
 ) -> tuple[IntArray, FloatArray, IntArray]:
     """Nodes that are raised by more than the `least` [m], shape (m,), by how much, and the piece of each."""
-    (found,) = near.around(name, 0, lambda _, __, raised: (raised > least,), raised)
+    found = near.each(name, lambda raised: raised > least, raised)
     pieces = find_pieces(near, name, found, slope)
     nodes, most = near.where(name, found, raised)
     return nodes, most, pieces.at(nodes)
@@ -270,11 +262,33 @@ def _reach(layers: Layers, config: PerceptionConfig) -> int:
     return max(1, int(0.5 * config.standing_width / layers.cell_width))
 
 
-def _pieces(nodes: IntArray, columns: Columns, found: BoolArray, slope: float) -> IntArray:
-    """Connected piece of each of the `nodes`, shape (m,), which are all that are `found`, shape (k,)."""
-    a, b = pairs_around(nodes, columns, found, slope, 0.0)
-    pieces: IntArray = components(a, np.searchsorted(nodes, b), found[nodes])
+def _among(layers: Layers, nodes: IntArray) -> BoolArray:
+    """Which of all nodes are among the `nodes`, shape (k,)."""
+    found = np.zeros(len(layers.cell), dtype=bool)
+    found[nodes] = True
+    return found
+
+
+def _pieces(layers: Layers, nodes: IntArray, slope: float) -> IntArray:
+    """Connected piece of each of the `nodes`, shape (m,), ascending, by slopes of so much a cell [m]."""
+    a, b = pairs_around(nodes, layers.columns, _among(layers, nodes), slope, 0.0)
+    pieces: IntArray = components(a, np.searchsorted(nodes, b), np.ones(len(nodes), dtype=bool))
     return pieces
+
+
+def _extents(layers: Layers, nodes: IntArray, piece: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Length and depth of each piece of the `nodes` in plan, shape (pieces,) [m]."""
+    sums = plan_sums(layers.cell[nodes], layers.shape[1], np.ones(len(nodes), dtype=bool), piece, int(piece.max()) + 1)
+    return extents_of(sums, layers.cell_width)
+
+
+def _drops_beside(
+    layers: Layers, nodes: IntArray, ground: Strips, config: PerceptionConfig
+) -> tuple[IntArray, FloatArray]:
+    """Other `ground` beside the `nodes` and within a step of them: row of the node, and how much lower it is [m]."""
+    others = np.concatenate(ground) & ~_among(layers, nodes)
+    a, b = pairs_around(nodes, layers.columns, others, 0.0, config.max_step)
+    return a, layers.height[nodes[a]] - layers.height[b]
 
 
 @lean()

@@ -14,7 +14,8 @@ import numpy as np
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.cloud import Cloud, WholeError
-from gpdf_service.perception.levels import Levels, Survey, alone, change_levels
+from gpdf_service.perception.ground_level import Levels
+from gpdf_service.perception.levels import Survey, alone, change_levels
 from gpdf_service.perception.segment import Segmentation, change_segmentation
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.tiles.points import Points

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
@@ -15,7 +14,7 @@ from gpdf_service.perception.strides import SOLE, STRIDE
 from gpdf_service.tiles.boxes import highest_around, lowest_around, widened, window
 from gpdf_service.tiles.layers import HALF
 from gpdf_service.tiles.surface import UNKNOWN, Cells, HeightMap, cell_of, cropped, rise_around
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import BoolArray, Float32Array, FloatArray, IntArray
 
 _LIMITS = PerceptionConfig()
 FLIGHT_RISE = _LIMITS.max_step
@@ -52,7 +51,7 @@ def footholds(surface: HeightMap, max_step: float) -> FloatArray:
     return _without_ridges(surface, _flight_and_stride(surface, max_step)).astype(np.float64)
 
 
-def ridges(surface: HeightMap, max_step: float, pits: NDArray[np.float32], drops: BoolArray) -> BoolArray:
+def ridges(surface: HeightMap, max_step: float, pits: Float32Array, drops: BoolArray) -> BoolArray:
     """Cells of flights that are over their `footholds`, shape (nx, ny), and as many in one piece as a tread is deep.
 
     They are stringers, and tips of treads at a free side; a single cell is a smear of what stands beside. Beside a
@@ -79,9 +78,7 @@ def _flight_and_stride(surface: HeightMap, max_step: float) -> BoolArray:
     return widened(flights(surface, max_step), rings_of(STRIDE, surface.cell_width))
 
 
-def _without_ridges(
-    surface: HeightMap, flight: BoolArray, beside: NDArray[np.float32] | None = None
-) -> NDArray[np.float32]:
+def _without_ridges(surface: HeightMap, flight: BoolArray, beside: Float32Array | None = None) -> Float32Array:
     """The ground [m], -inf where unknown; that of a `flight`, (nx, ny), without what is narrower than a foot, (nx, ny).
 
     A ridge is narrower than `SOLE` in some direction, and over all that is to either side within a foot's length by
@@ -97,9 +94,7 @@ def _without_ridges(
 
 
 @njit(cache=True, nogil=True)
-def _lower_ridges(
-    ground: Cells, beside: NDArray[np.float32], along: bool, cells: IntArray, made: NDArray[np.float32]
-) -> None:
+def _lower_ridges(ground: Cells, beside: Float32Array, along: bool, cells: IntArray, made: Float32Array) -> None:
     for cell in cells:
         x, y = cell // beside.shape[1], cell % beside.shape[1]
         own = ground.height[x, y]
@@ -120,7 +115,7 @@ def _lower_ridges(
 
 
 @njit(cache=True, nogil=True)
-def _falls_aside(height: NDArray[np.float32], ground: Cells, at: tuple[int, int]) -> bool:
+def _falls_aside(height: Float32Array, ground: Cells, at: tuple[int, int]) -> bool:
     """Whether the ground falls off beside a flight, and not behind a tread: less than 45° across its way up.
 
     It falls off towards the middle of what lies more than a step lower within a foot's length. The way up is that of
@@ -154,7 +149,7 @@ def _falls_aside(height: NDArray[np.float32], ground: Cells, at: tuple[int, int]
 
 @njit(cache=True, nogil=True)
 def _highest_along(
-    height: NDArray[np.float32], at: tuple[int, int], by: tuple[int, int], cells: tuple[int, int], most: float
+    height: Float32Array, at: tuple[int, int], by: tuple[int, int], cells: tuple[int, int], most: float
 ) -> float:
     """Highest ground up to `most` in a line, from the first of the `cells` on so many, inf where none is known."""
     found, (first, count) = -np.inf, cells
@@ -209,7 +204,7 @@ def on_treads(z: FloatArray, cell: IntArray, surface: HeightMap, max_step: float
 def _on_treads(
     z: FloatArray,
     cell: IntArray,
-    height: NDArray[np.float32],
+    height: Float32Array,
     rests: FloatArray,
     limits: tuple[float, float],
     found: BoolArray,
@@ -232,14 +227,14 @@ def _on_treads(
 
 
 @njit(cache=True, nogil=True)
-def is_tread(height: NDArray[np.float32], x: int, y: int, stride: int) -> bool:
+def is_tread(height: Float32Array, x: int, y: int, stride: int) -> bool:
     """Whether a cell is in a flight, with ground higher by more than `ROUGH` within so many cells, and lower."""
-    own, (low, high) = float(height[x, y]), _ends_around(height, x, y, stride)
+    own, (low, high) = float(height[x, y]), ends_around(height, x, y, stride)
     return high - own > ROUGH and own - low > ROUGH and high - low > FLIGHT_RISE
 
 
 @njit(cache=True, nogil=True)
-def _ends_around(height: NDArray[np.float32], x: int, y: int, rings: int) -> tuple[float, float]:
+def ends_around(height: Float32Array, x: int, y: int, rings: int) -> tuple[float, float]:
     """Lowest and highest ground within so many cells, inf and -inf where there is none."""
     (nx, ny), low, high = height.shape, np.float32(np.inf), np.float32(-np.inf)
     for u in range(max(x - rings, 0), min(x + rings + 1, nx)):
@@ -262,7 +257,7 @@ def crosses_flight(path: FloatArray, surface: HeightMap, radius: float) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def _crosses_flight(path: FloatArray, ground: Cells, ends: NDArray[np.float32], every: float, stride: int) -> bool:
+def _crosses_flight(path: FloatArray, ground: Cells, ends: Float32Array, every: float, stride: int) -> bool:
     """See `crosses_flight`; the path is looked at `every` so many metres, half the radius, and at its end."""
     reach, due, last = int(2.5 * every / ground.width) + 1, 0.0, len(path) - 2
     if not rise_around(path, (reach + stride + 1) * ground.width, ground, ends) > FLIGHT_RISE:
@@ -286,7 +281,7 @@ def _is_by_tread(ground: Cells, x: float, y: float, z: float, reach: int, stride
     height, (i, j) = ground.height, cell_of(ground, x, y)
     if i < 0 or not abs(height[i, j] - z) <= FLIGHT_RISE:
         return False
-    low, high = _ends_around(height, i, j, reach + stride)
+    low, high = ends_around(height, i, j, reach + stride)
     if not high - low > FLIGHT_RISE:
         return False  # nearly everywhere, and cheaper than to ask each cell
     for u in range(max(i - reach, 0), min(i + reach + 1, height.shape[0])):

@@ -30,7 +30,7 @@ from gpdf_service.tiles.surface import (
     nearest_seen,
 )
 from gpdf_service.tiles.told import Grid
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
 GAP_CELLS = 4
 """Empty cells side by side that chance alone explains, at one in ten empty."""
@@ -93,32 +93,34 @@ def fill_holes(
     """
     if surface.cell_width >= widest_cell(config):
         return surface
-    seen_through, pit, walls, hollow = voids
+    seen_through, pit, *_ = voids
     height, state = _fill_gaps(grid, "gaps", surface.height, surface.state, surface, noise)
 
-    def notched(
-        _: Box, height: NDArray[np.float32], state: NDArray[np.uint8], beneath: BoolArray
-    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    def notched(_: Box, height: Float32Array, state: ByteArray, beneath: BoolArray) -> tuple[Float32Array, ByteArray]:
         made = fill_notches(replace(surface, height=height, state=state), beneath, config)
         return made.height, made.state
 
     given = height, state, seen_through | pit
     height, state = grid.around("notches", notches_reach(surface, config), notched, *given)
     known = state != UNKNOWN
-    close = near.distance <= MAX_HOLE_RADIUS
-    (walled,) = grid.whole("walled down", lambda *_: (_walled_down(surface, walls),), walls, surface.state)
-    ends = seen_through | pit | walled | ~close | _near_hollow(surface, hollow)
-    ends[[0, -1]] = ends[:, [0, -1]] = True
+    ends = _no_holes(grid, surface, near, voids)
     held, at_floor = material
-    height, state = _fill_planes(grid, ends, surface.cell_width, "open", (height, state), ~known & ~held, known)
+    height, state = _fill_planes(grid, ends, surface.cell_width, (height, state), ~known & ~held, known)
     height, state = _fill_single(np.flatnonzero(at_floor & (state == UNKNOWN)), height, state)
     height, state = _fill_gaps(grid, "gaps left", height, state, surface, noise)  # of larger ones
     return replace(surface, height=height, state=state)
 
 
-def standing(
-    beside: NDArray[np.float32], lowest: FloatArray, cell: IntArray, z: FloatArray, cell_width: float
-) -> Material:
+def _no_holes(grid: Grid, surface: HeightMap, near: Nearest, voids: Voids) -> BoolArray:
+    """Cells that are in no hole which ground fills, see `fill_holes`, shape (nx, ny)."""
+    seen_through, pit, walls, hollow = voids
+    (walled,) = grid.whole("walled down", lambda *_: (_walled_down(surface, walls),), walls, surface.state)
+    ends: BoolArray = seen_through | pit | walled | (near.distance > MAX_HOLE_RADIUS) | _near_hollow(surface, hollow)
+    ends[[0, -1]] = ends[:, [0, -1]] = True
+    return ends
+
+
+def standing(beside: Float32Array, lowest: FloatArray, cell: IntArray, z: FloatArray, cell_width: float) -> Material:
     """Cells with points under a ceiling's height, and those of them where all lie at the height of the ground `beside`.
 
     Args:
@@ -168,7 +170,7 @@ def find_voids(
     return asked & (depth > SLAB), asked & pit, walls, pit & ~asked
 
 
-def find_rims(surface: HeightMap) -> NDArray[np.float32]:
+def find_rims(surface: HeightMap) -> Float32Array:
     """Height of the ground at the rim of a hole, in its cells and those beside [m], shape (nx, ny), else -inf.
 
     A step up at the rim is none: the lowest ground within two cells counts. But a rim's cell that holds the wall's
@@ -207,8 +209,8 @@ def _walled_down(surface: HeightMap, walls: BoolArray) -> BoolArray:
 
 
 def _fill_gaps(
-    grid: Grid, name: str, height: NDArray[np.float32], state: NDArray[np.uint8], surface: HeightMap, noise: float
-) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    grid: Grid, name: str, height: Float32Array, state: ByteArray, surface: HeightMap, noise: float
+) -> tuple[Float32Array, ByteArray]:
     """Fill single cells that the scan's spacing left empty, also at a step's edge.
 
     Each is of the smooth ground around it, or as high as the cell beside it. On a slope the latter makes a step that
@@ -217,9 +219,7 @@ def _fill_gaps(
     """
     reach = reach_of(surface.cell_width, noise)
 
-    def fill(
-        _: Box, height: NDArray[np.float32], state: NDArray[np.uint8], seen: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    def fill(_: Box, height: Float32Array, state: ByteArray, seen: Float32Array) -> tuple[Float32Array, ByteArray]:
         height, state, observed = height.copy(), state.copy(), np.where(np.isnan(seen), UNKNOWN, OBSERVED)
         near = nearest_seen(replace(surface, height=seen, state=observed.astype(np.uint8)))
         empty = state == UNKNOWN
@@ -228,7 +228,7 @@ def _fill_gaps(
             gaps |= _small(empty & _between(~empty), near.distance, surface.cell_width)
         small = np.flatnonzero(gaps)
         made = near.height.ravel()[small]
-        run_chunked(lambda a, b: _onto_bends(seen, reach, max(FINE, FLAT * noise), small, a, b, made), len(small))
+        run_chunked(lambda a, b: _onto_bends(seen, reach, max(FINE, FLAT * noise), small[a:b], made[a:b]), len(small))
         height.ravel()[small], state.ravel()[small] = made, INFERRED
         return height, state
 
@@ -237,18 +237,10 @@ def _fill_gaps(
 
 
 @njit(cache=True, nogil=True)
-def _onto_bends(
-    height: NDArray[np.float32],
-    reach: int,
-    flat: float,
-    cells: IntArray,
-    begin: int,
-    end: int,
-    made: NDArray[np.float32],
-) -> None:
+def _onto_bends(height: Float32Array, reach: int, flat: float, cells: IntArray, made: Float32Array) -> None:
     """Put `cells` that are not at the rim onto the quadric through the seen cells around where it is `flat` [m]."""
     (nx, ny), sums = height.shape, make_sums()
-    for k in range(begin, end):
+    for k in range(len(cells)):
         i, j = cells[k] // ny, cells[k] % ny
         if 0 < i < nx - 1 and 0 < j < ny - 1:
             shift, smooth = bend_at(height, i, j, reach, float(made[k]), flat, sums)
@@ -264,7 +256,7 @@ def _small(holes: BoolArray, distance: FloatArray, cell_width: float) -> BoolArr
     return found
 
 
-def _fill_single(cells: IntArray, height: NDArray[np.float32], state: NDArray[np.uint8]) -> Ground:
+def _fill_single(cells: IntArray, height: Float32Array, state: ByteArray) -> Ground:
     """The ground with those of the flat `cells` filled that have ground on all four sides, with the mean of that."""
     x, y = np.unravel_index(cells, height.shape)
     inside = (x > 0) & (x < height.shape[0] - 1) & (y > 0) & (y < height.shape[1] - 1)
@@ -286,25 +278,19 @@ def _between(known: BoolArray) -> BoolArray:
     return made
 
 
-Ground = tuple[NDArray[np.float32], NDArray[np.uint8]]
+Ground = tuple[Float32Array, ByteArray]
 """Heights [m] and states of cells, shape (nx, ny)."""
 
 
 def _fill_planes(
-    grid: Grid,
-    ends: BoolArray,
-    cell_width: float,
-    name: str,
-    ground: Ground,
-    holes: BoolArray,
-    known: BoolArray,
+    grid: Grid, ends: BoolArray, cell_width: float, ground: Ground, holes: BoolArray, known: BoolArray
 ) -> Ground:
     """The ground with each of the `holes` filled by the plane of the `known` ground around, if that is enough of it.
 
     That is at least `OPEN_SHARE` of its rim. What has one of the `ends` in it, or in the cells of which it goes on, is
     no hole. One is as it was if all that it is told by, two cells around it too, is as it was.
     """
-    given = holes, known, ends, *ground
+    name, given = "holes under planes", (holes, known, ends, *ground)
     again = grid.felt(name, RING, *given)
     parts: list[tuple[Box, tuple[NDArray[Any], ...]]] = []
     if again.any():
@@ -347,8 +333,8 @@ def _pieces_near(
 
 @njit(cache=True, nogil=True)
 def _fill(
-    height: NDArray[np.float32],
-    state: NDArray[np.uint8],
+    height: Float32Array,
+    state: ByteArray,
     labelled: tuple[IntArray, IntArray, IntArray],
     holes: IntArray,
     known: BoolArray,
@@ -378,7 +364,7 @@ def _ring(
     hole: int,
     label: IntArray,
     known: BoolArray,
-    height: NDArray[np.float32],
+    height: Float32Array,
     met: IntArray,
 ) -> tuple[FloatArray, FloatArray, float]:
     """Places (x, y, 1) of the known cells within two of a hole's, from its first one on, and their heights [m].

@@ -6,7 +6,6 @@ from math import ceil
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from gpdf_service.denoise.cells import Cells, begin_sweep, runs_within, sort_into_cells
 from gpdf_service.fields.shapes import FEWEST
@@ -17,7 +16,7 @@ from gpdf_service.tiles.boxes import WHOLE, Box, highest_around, lowest_around, 
 from gpdf_service.tiles.columns import ends_of_runs, lowest_above
 from gpdf_service.tiles.rows import between, chosen_rows
 from gpdf_service.tiles.surface import UNKNOWN, HeightMap, cells_within, cropped
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import BoolArray, Float32Array, FloatArray, IntArray
 
 FACE = 0.1
 """[m] A step's face has the step's top within this in plan at most: half the depth of a stair's tread."""
@@ -38,7 +37,7 @@ def find_ledges(
     max_step: float,
     noise: float = 0.0,
     box: Box = WHOLE,
-) -> NDArray[np.float32]:
+) -> Float32Array:
     """`next_above` by the `ground` points of this sheet, for those `other` points that can be a step's face.
 
     No cure takes the `noise` [m] along a face out of it: its upper rim stands over the ground behind it by as much.
@@ -66,7 +65,7 @@ def find_ledges(
 
 
 def _add_rims(
-    ledge: NDArray[np.float32], asked: BoolArray, ground: FloatArray, other: FloatArray, noise: float, reach: float
+    ledge: Float32Array, asked: BoolArray, ground: FloatArray, other: FloatArray, noise: float, reach: float
 ) -> None:
     """Give points over a step's edge its `ledge`: within a deviation, or so few beside its face that noise made them.
 
@@ -171,7 +170,7 @@ def astray(surface: HeightMap, noise: float) -> int:
     return max(1, ceil(RESOLVED_STEP * noise / surface.cell_width))
 
 
-def next_above(ground: FloatArray, points: FloatArray, least: FloatArray, reach: float = FACE) -> NDArray[np.float32]:
+def next_above(ground: FloatArray, points: FloatArray, least: FloatArray, reach: float = FACE) -> Float32Array:
     """Height of the lowest `ground` point (n, 3) over `least` (m,) and within `reach` [m] in plan of `points` (m, 3).
 
     Of each cell half as wide only the highest and the lowest ground point are looked at, and single precision rounds

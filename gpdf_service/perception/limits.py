@@ -18,7 +18,7 @@ from gpdf_service.perception.footing import ROUGH, flights
 from gpdf_service.perception.strides import HALF_FOOT, SECTORS, STRIDE, sector_of
 from gpdf_service.tiles.boxes import span
 from gpdf_service.tiles.surface import UNKNOWN, Cells, HeightMap
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
 FOOT = 0.1
 """[m] Half a foot's length, and a wheel's contact: slopes are measured over it, so that a stair's tread stays flat."""
@@ -55,7 +55,7 @@ class GroundLimits:
     """
 
     points: FloatArray
-    kind: NDArray[np.uint8]
+    kind: ByteArray
     value: FloatArray
 
 
@@ -189,7 +189,7 @@ def step_and_slope(surface: HeightMap) -> Measured:
     return np.where(known, step, 0.0), np.where(known, slope, 0.0)
 
 
-def _is_narrow_tread(height: NDArray[np.float32], width: float, axis: int) -> BoolArray:
+def _is_narrow_tread(height: Float32Array, width: float, axis: int) -> BoolArray:
     """Cells between two risers of a stair along an axis, with level ground beyond either, shape (nx, ny).
 
     In cells over a third of a tread wide, a tread whose noses a scan has worn shows in one.

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
@@ -17,7 +16,7 @@ from gpdf_service.perception.strides import SOLE, STRIDE
 from gpdf_service.tiles.boxes import window
 from gpdf_service.tiles.nearest import nearest_of
 from gpdf_service.tiles.surface import INFERRED, UNKNOWN, HeightMap
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import BoolArray, Float32Array, FloatArray, IntArray
 
 STEEPEST_FLIGHT = 1.3
 """[-] Rise over run of the steepest stair, 52°; what rises more between two pieces of ground is another storey."""
@@ -86,7 +85,7 @@ def _as_wide_as_a_sole(known: BoolArray, cell_width: float) -> BoolArray:
 
 
 @njit(cache=True, nogil=True)
-def _at_risers(height: NDArray[np.float32], asked: BoolArray, most: int) -> BoolArray:
+def _at_risers(height: Float32Array, asked: BoolArray, most: int) -> BoolArray:
     """Which of the `asked` cells, shape (nx, ny), have another tread on one side than on the other, a sole across."""
     found = np.zeros_like(asked)
     for x in range(height.shape[0]):
@@ -110,8 +109,8 @@ def _from_the_side(treads: BoolArray, below: BoolArray, cell_width: float) -> Bo
 
 @njit(cache=True, nogil=True)
 def _treads(
-    height: NDArray[np.float32], rise: FloatArray, cells: IntArray, near: IntArray, disc: IntArray, same: float
-) -> NDArray[np.float32]:
+    height: Float32Array, rise: FloatArray, cells: IntArray, near: IntArray, disc: IntArray, same: float
+) -> Float32Array:
     """Height of the tread of each of the `cells`, shape (k, 2), NaN where none closes over it.
 
     That is the nearest one, the lower of equally near ones, such that every `disc` (d, 2) that holds the cell holds a
@@ -135,7 +134,7 @@ def _treads(
 
 
 @njit(cache=True, nogil=True)
-def _closes(height: NDArray[np.float32], x: int, y: int, disc: IntArray, low: float, high: float) -> bool:
+def _closes(height: Float32Array, x: int, y: int, disc: IntArray, low: float, high: float) -> bool:
     """Whether every disc that holds the cell (x, y) holds a cell between these heights."""
     nx, ny = height.shape
     for a in range(len(disc)):
@@ -151,7 +150,7 @@ def _closes(height: NDArray[np.float32], x: int, y: int, disc: IntArray, low: fl
 
 
 @njit(cache=True, nogil=True)
-def _fill_bitten(height: NDArray[np.float32], asked: BoolArray, cell_width: float) -> None:
+def _fill_bitten(height: Float32Array, asked: BoolArray, cell_width: float) -> None:
     """Fill what a shadow bites out of a flight: uphill and downhill there is ground, and the tread itself beside.
 
     At one end or both the flight beside is as high: one that lies across the grid at an angle stays as it was seen. A
@@ -181,7 +180,7 @@ def _fill_bitten(height: NDArray[np.float32], asked: BoolArray, cell_width: floa
 
 
 @lean()
-def _goes_on(height: NDArray[np.float32], at: tuple[int, int], by: tuple[int, int], cells: int, most: Any) -> bool:  # noqa: ANN401
+def _goes_on(height: Float32Array, at: tuple[int, int], by: tuple[int, int], cells: int, most: Any) -> bool:  # noqa: ANN401
     """Whether so many cells further in a direction are as high, within `most` [m], as the one they begin at."""
     for k in range(1, cells + 1):
         u, v = at[0] + k * by[0], at[1] + k * by[1]
@@ -205,7 +204,7 @@ def between_treads(surface: HeightMap, asked: BoolArray, stair_step: float) -> B
 
 @njit(cache=True, nogil=True)
 def _between_treads(
-    height: NDArray[np.float32], asked: IntArray, most: int, cell_width: float, stair_step: float, found: BoolArray
+    height: Float32Array, asked: IntArray, most: int, cell_width: float, stair_step: float, found: BoolArray
 ) -> None:
     """Mark the `asked` cells, shape (k, 2), between ground within `most` cells each way along a line."""
     for k in range(len(asked)):
@@ -218,7 +217,7 @@ def _between_treads(
 
 @njit(cache=True, nogil=True)
 def _both_sides(
-    height: NDArray[np.float32], x: int, y: int, dx: int, dy: int, most: int, span: int
+    height: Float32Array, x: int, y: int, dx: int, dy: int, most: int, span: int
 ) -> tuple[np.float32, int, np.float32, int]:
     """Heights of the next known cells before and behind (x, y) on a line, and how many cells away each is.
 
@@ -230,7 +229,7 @@ def _both_sides(
 
 
 @njit(cache=True, nogil=True)
-def _next_known(height: NDArray[np.float32], x: int, y: int, dx: int, dy: int, most: int) -> tuple[np.float32, int]:
+def _next_known(height: Float32Array, x: int, y: int, dx: int, dy: int, most: int) -> tuple[np.float32, int]:
     """Height of the next known cell from (x, y) on in a direction, and how many cells away; 0 if none within `most`."""
     for step in range(1, most + 1):
         u, v = x + step * dx, y + step * dy

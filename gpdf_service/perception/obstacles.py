@@ -10,9 +10,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_chunked, run_parallel
-from gpdf_service.perception.footing import ROUGH, by_treads, footing_reach, is_tread, on_treads, rings_of
+from gpdf_service.kernel_cache import lean
+from gpdf_service.perception.footing import ROUGH, by_treads, ends_around, footing_reach, is_tread, on_treads, rings_of
+from gpdf_service.perception.ground_level import GroundLevel
 from gpdf_service.perception.ledges import FACE, LEAST_OBSTACLE, astray
-from gpdf_service.perception.levels import GroundLevel
 from gpdf_service.perception.limits import GroundLimits, ObstacleKind
 from gpdf_service.perception.strides import SOLE, STRIDE
 from gpdf_service.tiles.boxes import widened
@@ -20,7 +21,7 @@ from gpdf_service.tiles.nearest import nearest_of
 from gpdf_service.tiles.points import Points
 from gpdf_service.tiles.rows import between, chosen_rows, under
 from gpdf_service.tiles.surface import INFERRED, UNKNOWN, Cells, HeightMap, cells_within
-from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
+from gpdf_service.types import Agent, BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
 HEADROOM_SHARE = 0.01
 """[-] How well a scan knows the room over the ground, over the body's height: 2 cm for a person, 1 mm for a Roomba."""
@@ -33,7 +34,7 @@ class Obstacles:
     """Points [m], shape (j, 3), and the `ObstacleKind` of each, shape (j,)."""
 
     points: FloatArray
-    kind: NDArray[np.uint8]
+    kind: ByteArray
 
 
 class Scan(NamedTuple):
@@ -145,29 +146,22 @@ def _over_head(points: FloatArray, surface: HeightMap, stands: BoolArray, agent:
     a lower tread is that near, towards the point, the foot is still on that.
     """
     hit = np.zeros(len(points), dtype=bool)
-    stride = rings_of(STRIDE, surface.cell_width)
-    own = points, surface.arrays, stands, agent.cylinder.radius, tall, agent.max_step, stride
-    run_chunked(lambda a, b: _heads(*own, a, b, hit), len(points))
+    limits = agent.cylinder.radius, tall, agent.max_step, rings_of(STRIDE, surface.cell_width)
+    run_chunked(lambda a, b: _heads(points[a:b], surface.arrays, stands, limits, hit[a:b]), len(points))
     return hit
 
 
 @njit(cache=True, nogil=True)
 def _heads(
-    points: FloatArray,
-    ground: Cells,
-    stands: BoolArray,
-    radius: float,
-    tall: float,
-    max_step: float,
-    stride: int,
-    begin: int,
-    end: int,
-    hit: BoolArray,
+    points: FloatArray, ground: Cells, stands: BoolArray, limits: tuple[float, float, float, int], hit: BoolArray
 ) -> None:
-    """The body stands where its cell is nearest to the point; how far the edge is, is known to half a cell."""
-    (nx, ny), width, height = stands.shape, ground.width, ground.height
+    """The body stands where its cell is nearest to the point; how far the edge is, is known to half a cell.
+
+    The `limits` are its radius, its height and its step [m], and a stride in cells.
+    """
+    (nx, ny), width, height, (radius, tall, max_step, stride) = stands.shape, ground.width, ground.height, limits
     rings = int(radius / width) + 1
-    for m in range(begin, end):
+    for m in range(len(points)):
         x, y = (points[m, 0] - ground.origin[0]) / width, (points[m, 1] - ground.origin[1]) / width
         for i in range(max(int(x) - rings, 0), min(int(x) + rings + 1, nx)):
             for j in range(max(int(y) - rings, 0), min(int(y) + rings + 1, ny)):
@@ -195,69 +189,82 @@ def _is_face(level: GroundLevel, rows: IntArray, cell: IntArray, max_step: float
     Where points are centres of voxels, one that is as high as the ground in a cell beside is of that ground.
     On a flight, where noses and wear make treads rough, `on_treads` tells.
     """
-    surface, width, noise = level.surface, level.surface.cell_width, scan.noise
+    surface, noise = level.surface, scan.noise
     known = np.where(surface.state != UNKNOWN, surface.height, np.float32(np.nan))
-    told = surface.state == INFERRED, width <= FACE, astray(surface, noise), scan.voxels
-    own = level.other_points, cell, level.ledge, known, *told
-    face = np.zeros(len(rows), dtype=bool)
-    run_chunked(lambda a, b: _faces(rows, *own, max_step, noise, a, b, face), len(rows))
+    wide = surface.cell_width <= FACE, scan.voxels
+    told = _Beside(known, surface.state == INFERRED, *wide, astray(surface, noise), max_step, noise)
+    other, face = (level.other_points, cell, level.ledge), np.zeros(len(rows), dtype=bool)
+    run_chunked(lambda a, b: _faces(rows[a:b], other, told, face[a:b]), len(rows))
     if max_step > ROUGH:
         rest = rows[~face]
         face[~face] = on_treads(level.other_points[rest, 2], cell[rest], surface, max_step)
     return face
 
 
+class _Beside(NamedTuple):
+    """What the ground beside a point tells of it.
+
+    Attributes:
+        known: Height of each cell [m], NaN where it is unknown, shape (nx, ny).
+        inferred: Which of them nobody has seen, shape (nx, ny).
+        narrow: Whether the inferred cells around a point's own one are as near as a step's top to its face.
+        voxels: Whether points are centres of voxels.
+        rings: Cells that a point of a face may lie from the ground over or under it.
+        max_step: Highest step that the body takes [m].
+        noise: Standard deviation of the points [m].
+    """
+
+    known: Float32Array
+    inferred: BoolArray
+    narrow: bool
+    voxels: bool
+    rings: int
+    max_step: float
+    noise: float
+
+
 @njit(cache=True, nogil=True)
-def _faces(
-    rows: IntArray,
-    points: FloatArray,
-    cell: IntArray,
-    ledges: NDArray[np.float32],
-    known: NDArray[np.float32],
-    inferred: BoolArray,
-    near: bool,
-    rings: int,
-    voxels: bool,
-    max_step: float,
-    noise: float,
-    begin: int,
-    end: int,
-    face: BoolArray,
-) -> None:
-    """`_is_face`; a tread in a shadow counts in the cells around if they are `near`, else in the point's own."""
-    nx, ny = known.shape
+def _faces(rows: IntArray, other: tuple[FloatArray, IntArray, Float32Array], told: _Beside, face: BoolArray) -> None:
+    """See `_is_face`: the `other` points, their cells and their ledges are told."""
+    (points, cell, ledges), known, noise = other, told.known, told.noise
     step = max(LEAST_OBSTACLE, noise)
-    for m in range(begin, end):
+    for m in range(len(rows)):
         row = rows[m]
-        x, y, z, ledge = cell[row] // ny, cell[row] % ny, points[row, 2], float(ledges[row])
-        under, over, lowest, foot = np.inf, -np.inf, np.inf, -np.inf
-        left, right = max(x - rings, 0), min(x + rings + 1, nx)
-        front, back = max(y - rings, 0), min(y + rings + 1, ny)
-        for i in range(left, right):
-            for j in range(front, back):
-                height = float(known[i, j])  # NaN, where it is unknown, compares false
-                if height < under:
-                    under = height
-                if height > over:
-                    over = height
-        for i in range(max(x - 1, 0), min(x + 2, nx)):
-            for j in range(max(y - 1, 0), min(y + 2, ny)):
-                beside = float(known[i, j])
-                if beside < lowest:
-                    lowest = beside
-                own = near or (i == x and j == y)
-                told = (inferred[i, j] and own and z - noise <= beside) or (
-                    voxels and abs(z - beside) <= LEAST_OBSTACLE
-                )
-                if told and under + step <= beside < ledge:
-                    ledge = beside
-        for i in range(left, right):
-            for j in range(front, back):
-                height = float(known[i, j])
-                if foot < height <= ledge - step:
-                    foot = height
-        scatter = step if over - under > step else LEAST_OBSTACLE - _SURELY * noise
-        face[m] = ledge <= foot + max_step or (np.isfinite(lowest) and z <= lowest + scatter)
+        x, y, z = cell[row] // known.shape[1], cell[row] % known.shape[1], points[row, 2]
+        low, high = ends_around(known, x, y, told.rings)
+        ledge = _ledge_beside(told, x, y, z, low + step, float(ledges[row]))
+        foot = _highest_up_to(ledge - step, known, x, y, told.rings)
+        lowest = ends_around(known, x, y, 1)[0]
+        scatter = step if high - low > step else LEAST_OBSTACLE - _SURELY * noise
+        face[m] = ledge <= foot + told.max_step or (np.isfinite(lowest) and z <= lowest + scatter)
+
+
+@lean()
+def _ledge_beside(told: _Beside, x: int, y: int, z: float, least: float, ledge: float) -> float:
+    """The `ledge` of a point at the height z, or the lowest ground of a cell beside that is its upper one, too [m].
+
+    That is ground at `least` so high, a tread in a shadow, or where points are voxels.
+    """
+    for i in range(max(x - 1, 0), min(x + 2, told.known.shape[0])):
+        for j in range(max(y - 1, 0), min(y + 2, told.known.shape[1])):
+            beside, near = float(told.known[i, j]), told.narrow or (i == x and j == y)
+            shadow = told.inferred[i, j] and near and z - told.noise <= beside
+            level = told.voxels and abs(z - beside) <= LEAST_OBSTACLE
+            if (shadow or level) and least <= beside < ledge:
+                ledge = beside
+    return ledge
+
+
+@lean()
+def _highest_up_to(most: float, height: Float32Array, x: int, y: int, rings: int) -> float:
+    """Height of the highest ground within so many cells that is no higher than `most` [m], -inf where there is none."""
+    found = -np.inf
+    for i in range(max(x - rings, 0), min(x + rings + 1, height.shape[0])):
+        for j in range(max(y - rings, 0), min(y + rings + 1, height.shape[1])):
+            there = float(height[i, j])  # NaN, where it is unknown, compares false
+            if found < there <= most:
+                found = there
+    return found
 
 
 def are_voxels(points: Points) -> bool:

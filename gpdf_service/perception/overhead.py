@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.footing import rings_of
@@ -13,7 +12,7 @@ from gpdf_service.perception.ledges import LEAST_OBSTACLE
 from gpdf_service.tiles.boxes import Box, lowest_around, widened
 from gpdf_service.tiles.rows import extent_within, under
 from gpdf_service.tiles.told import Grid, grown, within
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import BoolArray, Float32Array, FloatArray, IntArray
 
 
 class Columns(NamedTuple):
@@ -28,14 +27,14 @@ class Columns(NamedTuple):
     ground: BoolArray
 
 
-def over_head(floor: NDArray[np.float32], config: PerceptionConfig) -> FloatArray:
+def over_head(floor: Float32Array, config: PerceptionConfig) -> FloatArray:
     """What is over head over the `floor` [m], (nx, ny), is higher than this: it leaves the lowest body room anyhow."""
     over = floor.astype(np.float64) + config.max_step + config.min_headroom
     return np.where(np.isnan(floor), np.inf, over)
 
 
 def unseen_asks(
-    grid: Grid, sheet: NDArray[np.float32], floor: NDArray[np.float32], width: float, config: PerceptionConfig
+    grid: Grid, sheet: Float32Array, floor: Float32Array, width: float, config: PerceptionConfig
 ) -> BoolArray:
     """Cells whose points `unseen_beneath` asks, shape (nx, ny)."""
     return widened(grid.felt("treads", 0, sheet, floor, points=True), rings_of(config.widest_gap, width))
@@ -44,8 +43,8 @@ def unseen_asks(
 def unseen_beneath(
     grid: Grid,
     held: Columns,
-    sheet: NDArray[np.float32],
-    floor: NDArray[np.float32],
+    sheet: Float32Array,
+    floor: Float32Array,
     width: float,
     config: PerceptionConfig,
 ) -> BoolArray:

@@ -88,7 +88,7 @@ def build_parts(
 ) -> Parts:
     """The parts that slopes of at most `rise` [m] a cell make of the `flat` nodes."""
     layers, pieces = near.layers, find_pieces(near, name, flat, rise)
-    (room,) = near.around(f"room of {name}", 0, lambda _, __, flat, keep: (flat & keep,), flat, keep)
+    room = near.each(f"room of {name}", np.logical_and, flat, keep)
 
     def add(own: slice, label: IntArray, labels: int, room: BoolArray) -> FloatArray:
         plan = plan_sums(layers.cell[own], layers.shape[1], room, label, labels)
@@ -233,13 +233,9 @@ def _bulk(near: Beside, parts: Parts, joins: Pairs, alive: BoolArray, config: Pe
     Raises:
         NoGroundError: there are but ceilings.
     """
-    group, reach = (
-        components(*joins, alive),
-        int(HALF_FOOT / near.layers.cell_width**2) + 1,
-    )  # what is as long is as large
-    kinds = near.around(
-        "bulk", reach, partial(_over_and_under, parts=parts, step=config.max_step), parts.keep, parts.inner
-    )
+    group, reach = components(*joins, alive), int(HALF_FOOT / near.layers.cell_width**2) + 1  # as long is as large
+    told = partial(_over_and_under, parts=parts, step=config.max_step)
+    kinds = near.around("bulk", reach, told, parts.keep, parts.inner)
     room, over, inner, inner_over, inner_hangs, rises = parts.counts("bulk", parts.keep, *kinds)
     size = np.bincount(group, parts.size * alive)
     lies, within, hangs = (
@@ -275,7 +271,7 @@ def _over_and_under(
     piece = components(*connect(layers, hangs, parts.rise), hangs)
     hangs &= (np.bincount(piece, hangs) * layers.cell_width**2 >= HALF_FOOT)[piece]
     rises, nodes = np.zeros(len(room), dtype=bool), np.flatnonzero(room & asked)
-    rises[nodes] = rises_beside(nodes, layers.cell, layers.start, layers.shape, layers.height, layers.top, step)
+    rises[nodes] = rises_beside(nodes, layers.columns, layers.top, step)
     inner = room & inner
     return over, inner, inner & over, inner & hangs, rises
 
@@ -339,29 +335,29 @@ def _apart(near: Beside, parts: Parts, group: IntArray, main: BoolArray, config:
     asked = large & (open_ | storey)
     if not asked.any():
         return asked
-    label, keep = parts.pieces.whole, np.concatenate(parts.keep)
-    of_node, ours = group[label], keep & main[label]
-    nodes, holds = np.flatnonzero(keep & asked[of_node]), _holding(layers, ours)
-
-    def share(kind: BoolArray) -> FloatArray:
-        made: FloatArray = np.bincount(of_node[nodes[kind]], minlength=count) / np.maximum(size, 1)
-        return made
-
-    rise = layers.height[nodes] - _beside(layers, ours, holds)[layers.cell[nodes]]
-    height, of = layers.height[nodes], np.unique(of_node[nodes], return_inverse=True)[1]
-    level = np.abs(height - ndimage.median(height, of, np.arange(of.max() + 1))[of]) <= config.max_step
-    even, sunk, low, lofty = (
-        share(kind) >= 1.0 - OVER_SHARE
-        for kind in (
-            np.abs(rise) <= config.max_step,
-            rise < -config.max_step,
-            rise < config.storey_headroom,
-            level & (rise >= config.storey_headroom),
-        )
-    )
+    even, sunk, low, lofty = _over_main(near, parts, group, main, asked, config)
     storey &= vast | (lofty & (area >= ROOM_AREA))
     found: BoolArray = asked & (even | storey | (open_ & (sunk | vast & low)))
     return found
+
+
+def _over_main(
+    near: Beside, parts: Parts, group: IntArray, main: BoolArray, asked: BoolArray, config: PerceptionConfig
+) -> list[BoolArray]:
+    """Of the groups that are `asked` about which are within a step of the `main` ground beside them, and below it.
+
+    Further, which are lower over it than a storey, and which are level and no lower than that; shape (groups,).
+    """
+    layers, label, keep = near.layers, parts.pieces.whole, np.concatenate(parts.keep)
+    of_node, ours = group[label], keep & main[label]
+    nodes, holds, step = np.flatnonzero(keep & asked[of_node]), _holding(layers, ours), config.max_step
+    height, own = layers.height[nodes], of_node[nodes]
+    rise, of = height - _beside(layers, ours, holds)[layers.cell[nodes]], np.unique(own, return_inverse=True)[1]
+    level = np.abs(height - ndimage.median(height, of, np.arange(of.max() + 1))[of]) <= step
+    tall = rise >= config.storey_headroom
+    size = np.maximum(np.bincount(group, parts.size, len(asked)).astype(np.int64), 1)
+    kinds = np.abs(rise) <= step, rise < -step, rise < config.storey_headroom, level & tall
+    return [np.bincount(own[kind], minlength=len(asked)) / size >= 1.0 - OVER_SHARE for kind in kinds]
 
 
 def _over_and_open(layers: Layers, _: BoolArray, room: BoolArray, main: BoolArray, headroom: float) -> Answer:
@@ -415,7 +411,7 @@ def _slabs(near: Beside, parts: Parts, config: PerceptionConfig) -> tuple[Strips
     size, lies = pieces.counts("slabs aloft", slab, aloft)
     wide = pieces.extents("slabs", slab)[1] >= config.standing_width
     under = pieces.chosen("slabs", wide & (lies > OVER_SHARE * size))
-    (hidden,) = near.around("under floors", 0, lambda _, __, under, ceiling: (under & ceiling,), under, ceiling)
+    hidden = near.each("under floors", np.logical_and, under, ceiling)
     of_parts, all_, hung, tops = parts.counts("undersides", under, parts.flat, hidden, top)
     hangs = (_share(of_parts, all_) >= 0.5) | (hung > tops)
     hangs[-1] = False

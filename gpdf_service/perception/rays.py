@@ -20,7 +20,7 @@ from gpdf_service.perception.holes import MAX_HOLE_RADIUS
 from gpdf_service.tiles.boxes import widened
 from gpdf_service.tiles.nodes import components
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, Cells, HeightMap, cells_within, without
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
 SHARES = 4
 """Parts of the rays, each counted by itself, so that the sum is the same however many cores there are."""
@@ -156,15 +156,15 @@ class _Grid(NamedTuple):
     cell.
     """
 
-    height: NDArray[np.float32]
-    top: NDArray[np.float32]
-    lowest: NDArray[np.float32]
-    highest: NDArray[np.float32]
+    height: Float32Array
+    top: Float32Array
+    lowest: Float32Array
+    highest: Float32Array
     origin: FloatArray
     width: float
 
 
-def _grid_of(surface: HeightMap, asked: BoolArray, room: NDArray[np.float32]) -> _Grid:
+def _grid_of(surface: HeightMap, asked: BoolArray, room: Float32Array) -> _Grid:
     tiles = [-(-cells // TILE) for cells in asked.shape]
     pad = [(0, n * TILE - cells) for n, cells in zip(tiles, asked.shape, strict=True)]
     top = surface.height + room
@@ -176,9 +176,7 @@ def _grid_of(surface: HeightMap, asked: BoolArray, room: NDArray[np.float32]) ->
     return _Grid(height, top, ends[0], ends[1], np.asarray(surface.origin, dtype=np.float64), surface.cell_width)
 
 
-def _steps_beside(
-    surface: HeightMap, asked: BoolArray, config: PerceptionConfig
-) -> tuple[NDArray[np.float32], BoolArray]:
+def _steps_beside(surface: HeightMap, asked: BoolArray, config: PerceptionConfig) -> tuple[Float32Array, BoolArray]:
     """How high a ray may pass over `asked` ground that it shows to be free [m], and what is beside a step down.
 
     Within what a foot bridges of a step up it may pass as high as the step: what hides there is in its edge's shadow.
@@ -193,11 +191,11 @@ def _steps_beside(
 
 @njit(cache=True, nogil=True)
 def _look_beside(
-    height: NDArray[np.float32],
-    seen: NDArray[np.float32],
+    height: Float32Array,
+    seen: Float32Array,
     cells: IntArray,
     limits: tuple[int, float, float],
-    told: tuple[NDArray[np.float32], BoolArray],
+    told: tuple[Float32Array, BoolArray],
 ) -> None:
     """The highest `seen` ground within so many cells that is a step up, and whether some is a step down, of each cell.
 
@@ -280,7 +278,7 @@ def _go_on(shape: tuple[int, int], walk: _Walk) -> bool:
 @njit(cache=True, nogil=True)
 def _cast(
     rays: Rays, grid: _Grid, bounds: tuple[float, float, float], max_step: float, begin: int, step: int
-) -> tuple[NDArray[np.uint8], BoolArray]:
+) -> tuple[ByteArray, BoolArray]:
     """Follow every `step`-th ray from tile to tile, and from cell to cell in those where it is as low as the ground.
 
     Returns:
@@ -318,7 +316,7 @@ def _look_along(
     grid: _Grid,
     deep: float,
     walk: _Walk,
-    seen: tuple[NDArray[np.uint8], BoolArray],
+    seen: tuple[ByteArray, BoolArray],
 ) -> None:
     """`_cast` of the part of a ray between two shares of it (Amanatides and Woo, 1987)."""
     (a, b), (t, last), (passed, fell) = ray, part, seen

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from math import ceil
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -152,25 +153,21 @@ def segment(
     if noise is not None:
         relief = np.zeros(len(layers.cell))
         np.maximum.at(relief, nodes_of(layers, cloud), noise)
-    found = segment_layers(beside(layers), config, cloud, relief=relief)
+    found = segment_layers(beside(layers), config, relief, cloud)
     return found.holds(cloud), found.lasting()
 
 
 def segment_layers(
-    near: Beside,
-    config: PerceptionConfig,
-    held: FloatArray | None = None,
-    deviation: float = 0.0,
-    relief: FloatArray = LEVEL,
+    near: Beside, config: PerceptionConfig, relief: FloatArray, held: FloatArray | None = None, deviation: float = 0.0
 ) -> Segmentation:
     """Find the ground in layers.
 
     Args:
         near: Their nodes.
         config: Limits.
+        relief: What is no higher is of the ground [m], shape (k,), or (1,) where it is the same everywhere.
         held: The points (n, 3) [m] that tell the deviation; else it is as given.
         deviation: Of the points of the ground around it [m].
-        relief: What is no higher is of the ground [m], shape (k,), or (1,) where it is the same everywhere.
     """
     ground = find_ground(near, config, relief)
     (smooth,) = near.around("smooth", 1, _smoothed, ground)
@@ -188,7 +185,7 @@ def change_segmentation(
     layers, cells = change_layers(old.layers, cloud, cloud.points.there, config)
     found = old
     if layers is not old.layers:
-        found = segment_layers(beside_now(old.near, layers, cells), config, deviation=old.deviation, relief=old.relief)
+        found = segment_layers(beside_now(old.near, layers, cells), config, old.relief, deviation=old.deviation)
         cells |= found.near.unlike(found.extents, old.near, old.extents)
     rows, points = cloud.part(layers, cells)
     ground = before.copy()
@@ -252,10 +249,7 @@ def find_ground(near: Beside, config: PerceptionConfig, relief: FloatArray = LEV
     if not parts.size.any():
         raise NoGroundError(*NO_SURFACE)
     under, parts, scraps = undersides(near, parts, config)
-    (stance,) = near.around(
-        "stances", int(np.ceil(BODY / width)), lambda part, asked, room: (find_stances(part, room & asked),), parts.keep
-    )
-    joins = join_parts(near, parts, stance, config)
+    joins = join_parts(near, parts, _stances(near, parts.keep), config)
     under, parts, joins = without_ceilings(near, parts, joins, under, scraps, config)
     if relief.any():
         parts = without_crumbs(near.layers, parts, joins)
@@ -264,20 +258,25 @@ def find_ground(near: Beside, config: PerceptionConfig, relief: FloatArray = LEV
     wide, low = _grown(near, core, keep, under, seeds, rise)
     given = wide, keep, under, seeds, stands
     (flight,) = near.around("flight", int(STRIDE / width), partial(_flight, config=config), *given)
-    (over,) = near.around("over", 0, lambda *given: (given[2] | given[3] | given[4],), wide, low, core)
-    roof = _roofs(near, over, seeds, rise, config)
-    (found,) = near.around(
-        "found", 0, lambda _, __, wide, low, roof, flight: ((wide | low) & ~roof | flight,), wide, low, roof, flight
-    )
-    raised = raised_over_sides(near, found, config)
-    low = low_things(near, found, raised, relief, config)
-    box = boxes(near, found, config)
-    (ground,) = near.around(
-        "ground", 0, lambda _, __, found, flight, low, box: (found & ~((low | box) & ~flight),), found, flight, low, box
-    )
+    smooth = near.each("over", lambda wide, low, core: wide | low | core, wide, low, core)
+    roof = _roofs(near, smooth, seeds, rise, config)
+    told = wide, low, roof, flight
+    found = near.each("found", lambda wide, low, roof, flight: (wide | low) & ~roof | flight, *told)
+    low = low_things(near, found, raised_over_sides(near, found, config), relief, config)
+    told = found, low, boxes(near, found, config), flight
+    ground = near.each("ground", lambda found, low, box, flight: found & ~((low | box) & ~flight), *told)
     if not any(each.any() for each in ground):
         raise NoGroundError(*NO_SURFACE)
     return ground
+
+
+def _stances(near: Beside, room: Strips) -> Strips:
+    """Which nodes with headroom, `room`, are stances: see `find_stances`."""
+
+    def answer(layers: Layers, asked: BoolArray, room: BoolArray) -> tuple[BoolArray]:
+        return (find_stances(layers, room & asked),)
+
+    return near.around("stances", ceil(BODY / near.layers.cell_width), answer, room)[0]
 
 
 def _surfaces(
@@ -298,17 +297,9 @@ def _surfaces(
     return core, keep, flat, smooth == 8
 
 
-def _flight(
-    layers: Layers,
-    again: BoolArray,
-    wide: BoolArray,
-    keep: BoolArray,
-    under: BoolArray,
-    seeds: BoolArray,
-    stands: BoolArray,
-    config: PerceptionConfig,
-) -> tuple[BoolArray]:
+def _flight(layers: Layers, again: BoolArray, *given: BoolArray, config: PerceptionConfig) -> tuple[BoolArray]:
     """Treads among the `seeds`, on which no body `stands` by itself, and what lies between; see `find_between`."""
+    wide, keep, under, seeds, stands = given
     asked = (wide | (keep & ~over_ground(layers, wide, config.step_headroom))) & ~seeds & ~under
     treads = seeds & ~stands
     return (treads | find_between(layers, seeds, treads, asked & again, config),)
@@ -321,7 +312,7 @@ def _support(width: float) -> int:
 
 def _grown(near: Beside, core: Strips, keep: Strips, under: Strips, seeds: Strips, rise: float) -> tuple[Strips, ...]:
     """What slopes join to the `seeds` in the `core` and at its rims: with headroom, and where a low body fits."""
-    (inner,) = near.around("inner", 0, lambda _, __, core, under: (core & ~under,), core, under)
+    inner = near.each("inner", lambda core, under: core & ~under, core, under)
     pieces = find_pieces(near, "grown", inner, rise)
     (seeded,) = pieces.counts("seeded", seeds)
     grown = pieces.chosen("grown", seeded > 0)

@@ -108,7 +108,7 @@ def _seams(
     left = np.concatenate(kept)
     for i, sheet in enumerate(sheets):
         own = near.given(f"whole sheet {i}", sheet)
-        (beyond,) = near.around(f"beyond sheet {i}", 0, lambda _, __, keep, own: (keep & ~own,), kept, own)
+        beyond = near.each(f"beyond sheet {i}", lambda keep, own: keep & ~own, kept, own)
         found, deep = pieces(f"beyond sheet {i}", beyond)
         end = near.around(f"ends of sheet {i}", 1, ends, own, found.chosen(f"deep beyond sheet {i}", deep))[0]
         left &= ~whole_around(layers.columns, sheet, np.concatenate(end), config.max_step, rings // 2)

@@ -11,10 +11,10 @@ from math import ceil, sqrt
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from gpdf_service.perception.bend import FINE, FLAT, REACH
 from gpdf_service.tiles.surface import HeightMap
+from gpdf_service.types import Float32Array
 
 _SAME = 1.0
 """[-] Heights further apart, over the noise, are two surfaces: cured cells are off by a fifth of it."""
@@ -36,7 +36,7 @@ _Sums = tuple[float, float, float, float, float, float, float, float, float, flo
 _OF_NONE: _Sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def to_centres(surface: HeightMap, off: NDArray[np.float32], noise: float = 0.0) -> HeightMap:
+def to_centres(surface: HeightMap, off: Float32Array, noise: float = 0.0) -> HeightMap:
     """Each cell's height on the plane through its own and its neighbours' points, at the cell's centre.
 
     Least squares over those of the nine that differ from its own by less than a cell's width, or the noise. A step
@@ -69,7 +69,7 @@ def with_rims(surface: HeightMap, noise: float) -> HeightMap:
 
 
 @njit(cache=True, nogil=True)
-def _at_rims(height: NDArray[np.float32], reach: int, same: float, flat: float) -> NDArray[np.float32]:
+def _at_rims(height: Float32Array, reach: int, same: float, flat: float) -> Float32Array:
     made = height.copy()
     for i in range(height.shape[0]):
         for j in range(height.shape[1]):
@@ -88,7 +88,7 @@ def _at_rims(height: NDArray[np.float32], reach: int, same: float, flat: float) 
 
 
 @njit(cache=True, nogil=True)
-def _is_rim(height: NDArray[np.float32], i: int, j: int, same: float) -> bool:
+def _is_rim(height: Float32Array, i: int, j: int, same: float) -> bool:
     """Whether another surface is within `_BESIDE` cells."""
     for k in range(max(i - _BESIDE, 0), min(i + _BESIDE + 1, height.shape[0])):
         for m in range(max(j - _BESIDE, 0), min(j + _BESIDE + 1, height.shape[1])):
@@ -98,9 +98,7 @@ def _is_rim(height: NDArray[np.float32], i: int, j: int, same: float) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def _at_centres(
-    height: NDArray[np.float32], off: NDArray[np.float32], width: float, same: float, flat: float
-) -> NDArray[np.float32]:
+def _at_centres(height: Float32Array, off: Float32Array, width: float, same: float, flat: float) -> Float32Array:
     made = height.copy()
     for i in range(height.shape[0]):
         for j in range(height.shape[1]):

@@ -3,6 +3,7 @@
 import gpdf_service.kernel_cache  # noqa: F401  # before any kernel
 from gpdf_service.search.change import change_free_space as change_free_space
 from gpdf_service.search.free_space import FreeSpace as FreeSpace
+from gpdf_service.search.free_space import Setup as Setup
 from gpdf_service.search.free_space import build_free_space as build_free_space
 from gpdf_service.search.graph import Doors as Doors
 from gpdf_service.search.graph import Graph as Graph

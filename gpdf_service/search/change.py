@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 from numba import njit
 
-from gpdf_service.config import FieldConfig, SearchConfig
 from gpdf_service.fields import Gpdf, Tree, build_tree, change_tree, thin
 from gpdf_service.fields.threads import run_beside, run_parallel
-from gpdf_service.perception import CLEAN, GroundLevel, Levels, Obstacles, Scan, Touched, obstacles_of
+from gpdf_service.perception import GroundLevel, Levels, Obstacles, Scan, Touched, obstacles_of
 from gpdf_service.perception.obstacles import obstacles_felt, obstacles_reach
 from gpdf_service.search.free_space import (
     FreeSpace,
     LevelSpace,
+    Setup,
     build_level,
     fit_obstacle_field,
     join_levels,
@@ -28,7 +28,7 @@ from gpdf_service.tiles.boxes import span, widened, window
 from gpdf_service.tiles.rows import hashed, more_now, rows_by_cell, rows_in_cells, rows_spliced, taken
 from gpdf_service.tiles.surface import cropped, first_cell, spread, turned
 from gpdf_service.tiles.told import moved
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
 
 
 def change_free_space(
@@ -37,9 +37,7 @@ def change_free_space(
     ground_fields: tuple[Gpdf, ...],
     touched: Touched,
     first: Sequence[IntArray],
-    config: SearchConfig,
-    field_config: FieldConfig,
-    scan: Scan = CLEAN,
+    setup: Setup,
 ) -> FreeSpace:
     """The free space that `build_free_space` makes, from the one before.
 
@@ -49,67 +47,29 @@ def change_free_space(
         ground_fields: Ground GPDFs, 3D.
         touched: Which level before each one was made from, if any, and where anything in it is another.
         first: Where the other points of each cell of a level begin, shape (cells + 1,).
-        config: Margins.
-        field_config: Of the Obstacle GPDFs.
-        scan: Of the cloud.
+        setup: As the space before was built.
     """
 
     def one(i: int) -> LevelSpace:
         level, ground_field, (k, cells) = levels.levels[i], ground_fields[i], touched[i]
         if k < 0:
-            return build_level(level, ground_field, old.agent, old.radius, config, field_config, scan)
-        was = LevelSpace(
-            old.surfaces[k],
-            ground_field,
-            level.measured,
-            old.standing[k],
-            old.trees[k].standing,
-            old.obstacle_fields[k].standing,
-            old.quadtrees[k].standing,
-            old.edges[k],
-        )
-        return was if cells is None else _change_level(was, level, cells, first[i], old, config, field_config, scan)
+            return build_level(level, ground_field, old.agent, old.radius, setup)
+        was = old.standing_on(k, level, ground_field)
+        return was if cells is None else _change_level(was, level, cells, first[i], old, setup)
 
-    made = run_parallel(one, range(len(touched)))
-    return join_levels(
-        old.agent, *reach_of(old.agent, config, scan.noise), made, levels, (old, [k for k, _ in touched])
-    )
+    made, reach = run_parallel(one, range(len(touched))), reach_of(old.agent, setup.config, setup.scan.noise)
+    return join_levels(old.agent, *reach, made, levels, (old, [k for k, _ in touched]))
 
 
 def _change_level(
-    was: LevelSpace,
-    level: GroundLevel,
-    touched: BoolArray,
-    first: IntArray,
-    old: FreeSpace,
-    config: SearchConfig,
-    field_config: FieldConfig,
-    scan: Scan,
+    was: LevelSpace, level: GroundLevel, touched: BoolArray, first: IntArray, old: FreeSpace, setup: Setup
 ) -> LevelSpace:
     surface, agent, radius = level.surface, old.agent, old.radius
-    reach, shut = obstacles_reach(surface, agent)
-    before, after = spread(was.surface, surface)
-    by, shape = first_cell(surface, after.origin), after.state.shape
-    wide = obstacles_felt(moved(touched, by, shape, fill=True), before, after, agent)
-    region = moved(wide, first_cell(after, surface.origin), touched.shape, fill=True)
-    found = obstacles_of(_part(level, first, region, reach, shut), agent, scan, level.limits_in(region))
-    turning, cells = turned(before, after), (after.origin, after.cell_width, wide)
-    inside, gone = rows_in_cells(found.points, *cells), rows_in_tree(was.tree, *cells)
-    lost = was.tree.order[gone]
-    key = [
-        hashed(each.points.view(np.uint64), each.kind, rows) for each, rows in ((was.obstacles, lost), (found, inside))
-    ]
-    other = more_now(np.concatenate(key), len(lost)) != 0
-    gone, inside = gone[other[: len(lost)]], inside[other[len(lost) :]]
-    lost, fresh = np.sort(was.tree.order[gone]), found.points[inside]
-    places = np.concatenate([was.tree.points[gone], fresh[:, :2]])
-    tree = _change_tree(was.tree, gone, lost, fresh[:, :2])
-    obstacles = Obstacles(
-        rows_spliced(was.obstacles.points, lost, fresh), rows_spliced(was.obstacles.kind, lost, found.kind[inside])
-    )
-    part = replace(was, surface=surface, measured=level.measured, obstacles=obstacles)
+    obstacles, tree, places = _change_obstacles(was, level, touched, first, agent, setup.scan)
+    turning = turned(was.surface, surface)
+    part = replace(was, surface=surface, measured=level.measured, obstacles=obstacles, tree=tree)
     if len(places) == 0 and not turning.state.any():
-        return replace(part, tree=tree, obstacle_field=was.obstacle_field.over(surface))
+        return replace(part, obstacle_field=was.obstacle_field.over(surface))
 
     def leaves_and_edges() -> tuple[Quadtree, Edges]:
         around = build_tree(places) if len(places) else None
@@ -117,11 +77,37 @@ def _change_level(
         return quadtree, change_edges(was.quadtree, was.edges, quadtree, Places(tree), radius, around)
 
     def field() -> Gpdf:
-        made = _change_field(was, obstacles, tree, places, config.field_spacing * agent.disc_radius)
-        return fit_obstacle_field(obstacles, surface, agent, config, field_config) if made is None else made
+        made = _change_field(was, obstacles, tree, places, setup.config.field_spacing * agent.disc_radius)
+        return fit_obstacle_field(obstacles, surface, agent, setup) if made is None else made
 
     (quadtree, edges), obstacle_field = run_beside(leaves_and_edges, field)
-    return replace(part, tree=tree, obstacle_field=obstacle_field.over(surface), quadtree=quadtree, edges=edges)
+    return replace(part, obstacle_field=obstacle_field.over(surface), quadtree=quadtree, edges=edges)
+
+
+def _change_obstacles(
+    was: LevelSpace, level: GroundLevel, touched: BoolArray, first: IntArray, agent: Agent, scan: Scan
+) -> tuple[Obstacles, Tree, FloatArray]:
+    """What stops the body on a level, told anew where that may be another, and the tree of its places.
+
+    Also the places where an obstacle came or went, shape (k, 2) [m].
+    """
+    reach, shut = obstacles_reach(level.surface, agent)
+    before, after = spread(was.surface, level.surface)
+    by, shape = first_cell(level.surface, after.origin), after.state.shape
+    wide = obstacles_felt(moved(touched, by, shape, fill=True), before, after, agent)
+    region = moved(wide, first_cell(after, level.surface.origin), touched.shape, fill=True)
+    found = obstacles_of(_part(level, first, region, reach, shut), agent, scan, level.limits_in(region))
+    cells = after.origin, after.cell_width, wide
+    inside, gone = rows_in_cells(found.points, *cells), rows_in_tree(was.tree, *cells)
+    rows = (was.obstacles, was.tree.order[gone]), (found, inside)
+    key = [hashed(each.points.view(np.uint64), each.kind, own) for each, own in rows]
+    other = more_now(np.concatenate(key), len(gone)) != 0
+    gone, inside = gone[other[: len(gone)]], inside[other[len(gone) :]]
+    lost, fresh = np.sort(was.tree.order[gone]), found.points[inside]
+    points = rows_spliced(was.obstacles.points, lost, fresh)
+    kind = rows_spliced(was.obstacles.kind, lost, found.kind[inside])
+    tree = _change_tree(was.tree, gone, lost, fresh[:, :2])
+    return Obstacles(points, kind), tree, np.concatenate([was.tree.points[gone], fresh[:, :2]])
 
 
 @njit(cache=True, nogil=True)

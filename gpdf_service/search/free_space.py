@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,6 +111,12 @@ class FreeSpace:
         standing = self.standing[level].kind
         return int(standing[row] if row < len(standing) else self.moving[level].kind[row - len(standing)])
 
+    def standing_on(self, level: int, now: GroundLevel, ground_field: Gpdf) -> LevelSpace:
+        """What stands on one level, over the ground as it is `now`."""
+        trees, fields, quadtrees = self.trees[level], self.obstacle_fields[level], self.quadtrees[level]
+        made = self.standing[level], trees.standing, fields.standing, quadtrees.standing, self.edges[level]
+        return LevelSpace(self.surfaces[level], ground_field, now.measured, *made)
+
     @property
     def gone(self) -> IntArray:
         """Nodes of what stands that are none any more, as something moves there, ascending."""
@@ -123,6 +129,20 @@ class FreeSpace:
         """What stops the body: all that stands, and then all that moves."""
         both = zip(self.standing, self.moving, strict=True)
         return tuple(joined(stands, moves) if len(moves.kind) else stands for stands, moves in both)
+
+
+class Setup(NamedTuple):
+    """How free spaces are built of a cloud.
+
+    Attributes:
+        config: Margins.
+        field_config: Of the Obstacle GPDFs.
+        scan: What obstacles need to know of the cloud.
+    """
+
+    config: SearchConfig
+    field_config: FieldConfig
+    scan: Scan = CLEAN
 
 
 Before = tuple[FreeSpace, Sequence[int]]
@@ -138,37 +158,22 @@ NONE = Obstacles(np.zeros((0, 3)), np.zeros(0, np.uint8))
 """Nothing."""
 
 
-def build_free_space(
-    levels: Levels,
-    ground_fields: tuple[Gpdf, ...],
-    agent: Agent,
-    config: SearchConfig,
-    field_config: FieldConfig,
-    scan: Scan = CLEAN,
-) -> FreeSpace:
+def build_free_space(levels: Levels, ground_fields: tuple[Gpdf, ...], agent: Agent, setup: Setup) -> FreeSpace:
     """Find what stops the body, fit its Obstacle GPDFs, build quadtrees and graph."""
-    reach, radius = reach_of(agent, config, scan.noise)
+    reach, radius = reach_of(agent, setup.config, setup.scan.noise)
 
     def one(i: int) -> LevelSpace:
-        return build_level(levels.levels[i], ground_fields[i], agent, radius, config, field_config, scan)
+        return build_level(levels.levels[i], ground_fields[i], agent, radius, setup)
 
     return join_levels(agent, reach, radius, run_parallel(one, range(len(ground_fields))), levels)
 
 
-def build_level(
-    level: GroundLevel,
-    ground_field: Gpdf,
-    agent: Agent,
-    radius: float,
-    config: SearchConfig,
-    field_config: FieldConfig,
-    scan: Scan,
-) -> LevelSpace:
+def build_level(level: GroundLevel, ground_field: Gpdf, agent: Agent, radius: float, setup: Setup) -> LevelSpace:
     """One level of the free space of a body whose centre keeps a `radius` [m] from obstacles."""
-    obstacles = obstacles_of(level, agent, scan)
+    obstacles = obstacles_of(level, agent, setup.scan)
     (tree, quadtree, edges), field = run_beside(
         partial(_leaves_and_edges, obstacles, level.surface, radius),
-        partial(fit_obstacle_field, obstacles, level.surface, agent, config, field_config),
+        partial(fit_obstacle_field, obstacles, level.surface, agent, setup),
     )
     return LevelSpace(level.surface, ground_field, level.measured, obstacles, tree, field, quadtree, edges)
 
@@ -185,12 +190,10 @@ def reach_of(agent: Agent, config: SearchConfig, noise: float) -> tuple[float, f
     return reach, reach + config.margin
 
 
-def fit_obstacle_field(
-    obstacles: Obstacles, surface: HeightMap, agent: Agent, config: SearchConfig, field_config: FieldConfig
-) -> Gpdf:
+def fit_obstacle_field(obstacles: Obstacles, surface: HeightMap, agent: Agent, setup: Setup) -> Gpdf:
     """The Obstacle GPDF of one level."""
-    spacing = agent.disc_radius * config.field_spacing
-    return fit_gpdf(obstacles.points[:, :2], config=field_config, domain=surface, spacing=spacing)
+    spacing = agent.disc_radius * setup.config.field_spacing
+    return fit_gpdf(obstacles.points[:, :2], config=setup.field_config, domain=surface, spacing=spacing)
 
 
 def join_levels(

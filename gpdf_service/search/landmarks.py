@@ -10,12 +10,11 @@ import heapq
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from gpdf_service.kernel_cache import lean
-from gpdf_service.types import FloatArray, IntArray
+from gpdf_service.types import Float32Array, FloatArray, IntArray
 
-Landmarks = NDArray[np.float32]
+Landmarks = Float32Array
 """Cost of the way from each node to each landmark, shape (n, k), inf where there is none."""
 COUNT = 6
 """Landmarks: each is one flood of the graph, and one number a node."""

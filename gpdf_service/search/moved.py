@@ -9,15 +9,14 @@ from functools import partial
 import numpy as np
 from scipy import ndimage
 
-from gpdf_service.config import FieldConfig, SearchConfig
 from gpdf_service.fields import Nearer, build_tree
 from gpdf_service.fields.traversal import NearerArrays, nearest_only
-from gpdf_service.perception import CLEAN, GroundLevel, Levels, Obstacles, Scan, obstacles_of
-from gpdf_service.perception.levels import within_reach
+from gpdf_service.perception import GroundLevel, Levels, Obstacles, Scan, obstacles_of
 from gpdf_service.perception.limits import NO_LIMITS
+from gpdf_service.perception.others import within_reach
 from gpdf_service.perception.sheets import OVERLAP
 from gpdf_service.search.core import patch_core
-from gpdf_service.search.free_space import NONE, FreeSpace, fit_obstacle_field, joined
+from gpdf_service.search.free_space import NONE, FreeSpace, Setup, fit_obstacle_field, joined
 from gpdf_service.search.graph import Edges, find_edges
 from gpdf_service.search.patch import Around, Nodes, around, patched
 from gpdf_service.search.places import Places
@@ -27,25 +26,17 @@ from gpdf_service.tiles.surface import cropped
 from gpdf_service.types import Agent, FloatArray, IntArray
 
 
-def add_moving(
-    space: FreeSpace,
-    levels: Levels,
-    points: FloatArray,
-    config: SearchConfig,
-    field_config: FieldConfig,
-    scan: Scan = CLEAN,
-) -> FreeSpace:
+def add_moving(space: FreeSpace, levels: Levels, points: FloatArray, setup: Setup) -> FreeSpace:
     """The free space with more points (k, 3) [m] in it, in time by what they touch.
 
     Args:
         space: Of what stands, without anything that moves.
         levels: The same that it was built of.
         points: What moves.
-        config: Margins.
-        field_config: Of the Obstacle GPDFs.
-        scan: Of the cloud of what stands.
+        setup: How the space of what stands was built.
     """
-    found = [stopping(level, points, space.agent, scan._replace(voxels=False)) for level in levels.levels]
+    scan = setup.scan._replace(voxels=False)
+    found = [stopping(level, points, space.agent, scan) for level in levels.levels]
     places, fields, exact = list(space.trees), list(space.obstacle_fields), list(space.exact_fields)
     trees = list(space.quadtrees)
     start = len(space.graph.position)
@@ -54,7 +45,7 @@ def add_moving(
             continue
         surface, standing = space.surfaces[i], space.quadtrees[i].standing
         places[i] = Places(space.trees[i].standing, build_tree(more.points[:, :2]))
-        moving = fit_obstacle_field(more, surface, space.agent, config, field_config)
+        moving = fit_obstacle_field(more, surface, space.agent, setup)
         fields[i] = Nearer(space.obstacle_fields[i].standing, moving)
         exact[i] = NearerArrays(space.exact_fields[i].standing, nearest_only(places[i].moving))
         gone, fresh = split_again(standing, surface, places[i], space.radius)

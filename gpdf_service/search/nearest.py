@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from gpdf_service.kernel_cache import lean
 from gpdf_service.search.free_space import FreeSpace
@@ -15,7 +14,7 @@ from gpdf_service.search.layered import below
 from gpdf_service.search.quadtree import Quadtree
 from gpdf_service.search.resplit import SplitQuadtree
 from gpdf_service.tiles.surface import BLOCK, Cells, height_of
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import BoolArray, Float32Array, FloatArray, IntArray
 
 INSIDE = 1e-6
 """[m] A place on the edge of a leaf is moved this far into it, so that rounding leaves it there."""
@@ -105,7 +104,7 @@ def _look_at_all(leaves: _LeavesOf, ground: Cells, asked: _Asked, found: FloatAr
 
 @njit(cache=True, nogil=True)
 def _descend(
-    leaves: _LeavesOf, gone: IntArray, ground: Cells, ends: NDArray[np.float32], asked: _Asked, found: FloatArray
+    leaves: _LeavesOf, gone: IntArray, ground: Cells, ends: Float32Array, asked: _Asked, found: FloatArray
 ) -> None:
     """`_look` at the leaves of a tree but for those that are `gone`; a square of n × n cells is n² codes in a row.
 
@@ -137,9 +136,7 @@ def _descend(
 
 
 @lean()
-def _is_as_high(
-    leaves: _LeavesOf, i: int, j: int, n: int, ground: Cells, ends: NDArray[np.float32], asked: _Asked
-) -> bool:
+def _is_as_high(leaves: _LeavesOf, i: int, j: int, n: int, ground: Cells, ends: Float32Array, asked: _Asked) -> bool:
     """Whether ground within a cell of a square of n × n smallest cells may be as high as is asked for."""
     if isnan(asked.z):
         return True

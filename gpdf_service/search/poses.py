@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gpdf_service.fields.tree import make_scratch
 from gpdf_service.search.places import Places, nearest_of
 from gpdf_service.tiles.surface import Cells, is_known
-from gpdf_service.types import FloatArray, IntArray
+from gpdf_service.types import Float32Array, FloatArray, IntArray
 
 Bits = NDArray[np.uint64]
 """Rows of words; bit b of word w tells of column 64 w + b."""
@@ -54,8 +54,8 @@ class _Nodes(NamedTuple):
 
     clear: Bits
     open: Bits
-    x: NDArray[np.float32]
-    y: NDArray[np.float32]
+    x: Float32Array
+    y: Float32Array
     around: int
 
 

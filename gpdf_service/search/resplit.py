@@ -8,7 +8,6 @@ from math import sqrt
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from gpdf_service.fields import morton
 from gpdf_service.fields.traversal import nearest_at
@@ -18,7 +17,7 @@ from gpdf_service.search.places import Places, distance_at
 from gpdf_service.search.quadtree import ROUNDING, Quadtree, is_split, state_of
 from gpdf_service.tiles import HeightMap
 from gpdf_service.tiles.surface import Cells, is_known
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import BoolArray, ByteArray, FloatArray, IntArray
 
 FELT = 5.0
 """[-] Times the body's radius: obstacles further from a leaf's centre are felt by nobody, see `ways.WIDE`."""
@@ -210,7 +209,7 @@ def _touched(
 @njit(cache=True, nogil=True)
 def _split_leaves(
     corner: IntArray, size: IntArray, places: Places, measures: Measures, ground: Cells
-) -> tuple[IntArray, IntArray, FloatArray, NDArray[np.uint8]]:
+) -> tuple[IntArray, IntArray, FloatArray, ByteArray]:
     """Corner, size, clearance and state of the free leaves in these leaves, in Morton order."""
     origin, width, radius = measures
     found, state = [(0, 0, 0, 0.0) for _ in range(0)], [0 for _ in range(0)]

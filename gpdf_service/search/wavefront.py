@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.search.poses import Bits, lowest
-from gpdf_service.types import IntArray
+from gpdf_service.types import ByteArray, IntArray
 
 AROUND = 2
 """Cells around the grid that are never free: no move goes further."""
@@ -32,7 +32,7 @@ class Field(NamedTuple):
         size: Headings, rows, and cells in a row, with those around.
     """
 
-    onward: NDArray[np.uint8]
+    onward: ByteArray
     size: tuple[int, int, int]
 
 
@@ -52,7 +52,7 @@ class _Kind(NamedTuple):
     number: IntArray
     step: IntArray
     passed: IntArray
-    move: NDArray[np.uint8]
+    move: ByteArray
     before: NDArray[np.int16]
 
 
@@ -130,7 +130,7 @@ def spread(field: Field, moves: IntArray, goals: IntArray, starts: IntArray) -> 
 
 @njit(cache=True, nogil=True)
 def _wave(
-    onward: NDArray[np.uint8],
+    onward: ByteArray,
     kind: _Kind,
     poses: tuple[NDArray[np.int32], NDArray[np.int16]],
     ends: tuple[int, int],

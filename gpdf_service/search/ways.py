@@ -31,7 +31,7 @@ from gpdf_service.search.places import Places, nearest_of
 from gpdf_service.search.resplit import FELT, is_among
 from gpdf_service.search.steps import NOTICED_STEP, is_stepped
 from gpdf_service.tiles.surface import UNKNOWN, Cells, cell_of
-from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray
+from gpdf_service.types import Agent, BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
 CARE = 0.5
 """[-] Share of the speed near steps, and where no room is left beside the body: on stairs people go 0.5 m/s in plan
@@ -89,7 +89,7 @@ class Beside(NamedTuple):
     """What a way in one level of a free space meets: see `FreeSpace`; the `kind` of each obstacle, (n,)."""
 
     places: Places
-    kind: NDArray[np.uint8]
+    kind: ByteArray
     ground: Cells
     noticed: NDArray[np.int32]
     steps: FloatArray
@@ -122,7 +122,7 @@ class Here(NamedTuple):
     """
 
     about: Beside
-    ends: NDArray[np.float32]
+    ends: Float32Array
     inferred: NDArray[np.int32]
 
 

@@ -111,6 +111,10 @@ class Beside:
 
         return self.told_nodes(name, given, make, spans)
 
+    def each(self, name: str, answer: Callable[..., NDArray[Any]], *given: Strips) -> Strips:
+        """What a question is told of each node by what is given for it alone; see `around`."""
+        return self.around(name, 0, lambda _, __, *own: (answer(*own),), *given)[0]
+
     def among(self, name: str, nodes: IntArray) -> Strips:
         """Which nodes are among some, by their numbers."""
         held = np.zeros(len(self.layers.cell), dtype=bool)

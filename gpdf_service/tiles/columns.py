@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from gpdf_service.fields.spacing import keep_least
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.tiles.pairs import Columns
 from gpdf_service.tiles.rows import INDEX
@@ -465,13 +466,7 @@ def kth_beside(
                 other, square = order[e], 0.0
                 for axis in range(3):
                     square += (points[other, axis] - points[row, axis]) ** 2
-                at = k
-                if square >= near[at]:
-                    continue
-                while at > 0 and near[at - 1] > square:
-                    near[at] = near[at - 1]
-                    at -= 1
-                near[at] = square
+                keep_least(near, square)
         distance[i] = np.sqrt(near[k])
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gpdf_service.tiles.pairs import AROUND, FAR, Columns
 from gpdf_service.tiles.rows import INDEX
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import BoolArray, ByteArray, FloatArray, IntArray
 
 
 @njit(cache=True, nogil=True)
@@ -85,7 +85,7 @@ def touched_by(a: IntArray, b: IntArray, among: BoolArray, others: BoolArray) ->
 
 
 @njit(cache=True, nogil=True)
-def degrees(columns: Columns, keep: BoolArray, rise: float) -> NDArray[np.uint8]:
+def degrees(columns: Columns, keep: BoolArray, rise: float) -> ByteArray:
     """How many nodes to keep are beside each of them with at most `rise` [m] a cell between them, shape (k,)."""
     cell, start, (nx, ny), height, _ = columns
     degree = np.zeros(len(cell), np.uint8)
@@ -159,13 +159,6 @@ def extents_of(sums: FloatArray, width: float) -> tuple[FloatArray, FloatArray]:
     middle, radius = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
     length = np.where(count > 0.0, (np.sqrt(12.0 * (middle + radius)) + 1.0) * width, 0.0)
     return length, np.where(count > 0.0, (np.sqrt(12.0 * np.maximum(middle - radius, 0.0)) + 1.0) * width, 0.0)
-
-
-def extents_in_plan(
-    cell: IntArray, ny: int, among: BoolArray, label: IntArray, width: float
-) -> tuple[FloatArray, FloatArray]:
-    """`extents_of` the nodes `among` all with each label."""
-    return extents_of(plan_sums(cell, ny, among, label, int(label.max()) + 1), width)
 
 
 @njit(cache=True, nogil=True)
@@ -253,23 +246,15 @@ def nodes_over(nodes: IntArray, cell: IntArray, height: FloatArray, keep: BoolAr
 
 
 @njit(cache=True, nogil=True)
-def rises_beside(
-    nodes: IntArray,
-    cell: IntArray,
-    start: IntArray,
-    shape: tuple[int, int],
-    height: FloatArray,
-    top: FloatArray,
-    step: float,
-) -> BoolArray:
+def rises_beside(nodes: IntArray, columns: Columns, top: FloatArray, step: float) -> BoolArray:
     """Over which of the `nodes` something rises by more than a `step`, in their cells or the eight around, (m,)."""
+    cell, start, (nx, ny), height, _ = columns
     rises = np.zeros(len(nodes), np.bool_)
     for k in range(len(nodes)):
-        x, y = divmod(cell[nodes[k]], shape[1])
+        x, y = divmod(cell[nodes[k]], ny)
         least = height[nodes[k]] + step
-        for i in range(max(x - 1, 0), min(x + 2, shape[0])):
-            first, last = max(y - 1, 0), min(y + 2, shape[1])
-            for other in range(start[i * shape[1] + first], start[i * shape[1] + last]):
+        for u in range(max(x - 1, 0), min(x + 2, nx)):
+            for other in range(start[u * ny + max(y - 1, 0)], start[u * ny + min(y + 2, ny)]):
                 rises[k] |= top[other] > least
     return rises
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.tree import longer
 from gpdf_service.tiles.boxes import span
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import BoolArray, ByteArray, FloatArray, IntArray
 
 INDEX: Any = np.int32
 """Kind of the numbers of points, nodes and cells where they are many: half of the memory."""
@@ -21,7 +21,7 @@ _BLOCK = 4096
 
 
 @njit(cache=True, nogil=True)
-def hashed(points: NDArray[np.uint64], kind: NDArray[np.uint8], rows: IntArray) -> NDArray[np.uint64]:
+def hashed(points: NDArray[np.uint64], kind: ByteArray, rows: IntArray) -> NDArray[np.uint64]:
     """One number for each of some rows, shape (m,): the same for the same point and kind.
 
     Args:
@@ -65,7 +65,7 @@ def rows_in_cells(points: FloatArray, origin: FloatArray, cell_width: float, wan
     found, used, (left, right, near, far) = np.empty(1024, np.int64), 0, span(wanted)
     low = origin + np.array([left - 1, near - 1]) * cell_width  # around the cells: most points are seen to lie outside
     high = origin + np.array([right + 1, far + 1]) * cell_width
-    for row in _rows_between(points, low, high, 0, len(points)):
+    for row in _rows_between(points, low, high):
         i = int(np.floor((points[row, 0] - origin[0]) / cell_width))
         j = int(np.floor((points[row, 1] - origin[1]) / cell_width))
         if 0 <= i < wanted.shape[0] and 0 <= j < wanted.shape[1] and wanted[i, j]:
@@ -93,13 +93,13 @@ def rows_by_cell(wanted: BoolArray, start: IntArray) -> IntArray:
 
 
 @njit(cache=True, nogil=True)
-def _rows_between(points: FloatArray, low: FloatArray, high: FloatArray, first: int, last: int) -> IntArray:
-    found, used, last = np.empty(2 * _BLOCK, np.int64), 0, min(last, len(points))
+def _rows_between(points: FloatArray, low: FloatArray, high: FloatArray) -> IntArray:
+    found, used, count = np.empty(2 * _BLOCK, np.int64), 0, len(points)
     left, right, near, far = low[0], high[0], low[1], high[1]
-    for begin in range(first, last, _BLOCK):
+    for begin in range(0, count, _BLOCK):
         if used + _BLOCK > len(found):
             found = longer(found, 2 * len(found))
-        for row in range(begin, min(begin + _BLOCK, last)):  # no branch: half of all would be guessed wrong
+        for row in range(begin, min(begin + _BLOCK, count)):  # no branch: half of all would be guessed wrong
             x, y = points[row, 0], points[row, 1]
             found[used] = row
             used += int((x >= left) & (x <= right) & (y >= near) & (y <= far))

@@ -11,9 +11,9 @@ import pytest
 
 import gpdf_service as gpdf
 from gpdf_service.perception.budget import _trim, give_back
-from gpdf_service.perception.levels import BLOCK
 from gpdf_service.perception.sheets import OVERLAP
 from gpdf_service.synthetic.scenes import cave, random_room, stair
+from gpdf_service.tiles.layers import BLOCK
 from gpdf_service.tiles.surface import UNKNOWN
 from gpdf_service.tiles.told import bands_of
 from gpdf_service.types import FloatArray

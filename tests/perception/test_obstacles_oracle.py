@@ -8,7 +8,7 @@ import pytest
 
 from gpdf_service.perception import footing
 from gpdf_service.perception.footing import by_treads, footholds, footing_reach, is_tread, on_treads, rings_of
-from gpdf_service.perception.levels import GroundLevel
+from gpdf_service.perception.ground_level import GroundLevel
 from gpdf_service.perception.limits import ObstacleKind
 from gpdf_service.perception.obstacles import Scan, are_voxels, obstacles_felt, obstacles_of, obstacles_reach
 from gpdf_service.tiles.boxes import widened

@@ -7,7 +7,7 @@ import gpdf_service as gpdf
 from gpdf_service.fields import build_tree
 from gpdf_service.planning import plan_path
 from gpdf_service.search import Prefer, build_quadtree, find_ways
-from gpdf_service.search.free_space import LevelSpace, fit_obstacle_field, join_levels
+from gpdf_service.search.free_space import LevelSpace, Setup, fit_obstacle_field, join_levels
 from gpdf_service.search.graph import find_edges
 from gpdf_service.search.layered import Layered
 from gpdf_service.search.places import Places
@@ -74,7 +74,7 @@ def from_scratch(space, scene):
         tree = build_tree(both.points[:, :2])
         quadtree = build_quadtree(surface, tree, space.radius)
         edges = find_edges(quadtree, Places(tree), space.radius)
-        field = fit_obstacle_field(both, surface, space.agent, scene.config.search, scene.config.fields)
+        field = fit_obstacle_field(both, surface, space.agent, Setup(scene.config.search, scene.config.fields))
         parts.append(LevelSpace(surface, space.ground_fields[i], level.measured, both, tree, field, quadtree, edges))
     return join_levels(space.agent, space.reach, space.radius, parts, scene.levels)
 

@@ -56,7 +56,7 @@ def test_a_change_fills_holes_notches_and_gaps_as_a_build_does(seed):
         np.testing.assert_array_equal(ours.height, theirs.height)
         np.testing.assert_array_equal(ours.state, theirs.state)
         assert (ours.state != was.state).any()
-        for name, reach in (("notches", 55), ("open", 2), ("gaps", 8)):
+        for name, reach in (("notches", 55), ("holes under planes", 2), ("gaps", 8)):
             assert 0 < grid.felt(name, reach, *grid.known[name].given).mean() < 0.5
         before, was = now, ours
 

@@ -1,0 +1,117 @@
+"""A level's ground with what its surroundings explain: holes filled, and hidden again what things may stand on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from gpdf_service.config import PerceptionConfig
+from gpdf_service.perception.ground_level import Site
+from gpdf_service.perception.hidden import faces_reach, find_faces, hidden_reach, without_hidden
+from gpdf_service.perception.holes import Voids, fill_holes, standing
+from gpdf_service.perception.ledges import LEAST_OBSTACLE
+from gpdf_service.perception.notches import NOTCH_DEPTH, between_treads
+from gpdf_service.perception.others import Held
+from gpdf_service.perception.rays import seen_by_rays
+from gpdf_service.tiles.boxes import Box, highest_around, lowest_around
+from gpdf_service.tiles.rows import extent_within
+from gpdf_service.tiles.surface import UNKNOWN, HeightMap, Nearest
+from gpdf_service.tiles.told import Grid
+from gpdf_service.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
+
+
+def complete(
+    grid: Grid, seen: HeightMap, held: Callable[[Box], Held], voids: Voids, near: Nearest, site: Site
+) -> tuple[HeightMap, BoolArray]:
+    """The ground with what its surroundings and the other points explain, and in which cells these guard an edge.
+
+    Holes are filled in the whole level. What edges, faces and things that may stand behind them make of a cell is
+    decided by what is within a known reach of it.
+
+    Args:
+        grid: What was asked of its cells.
+        seen: The ground as it was seen.
+        held: Says which other points are in a box of cells.
+        voids: See `find_voids`.
+        near: Where the ground was seen, `nearest_seen`.
+        site: Its rays tell what may stand on inferred ground where they are known; else fronts do.
+    """
+    config, as_map = site.config, partial(HeightMap, seen.origin, seen.cell_width)
+
+    def stood(box: Box, beside: Float32Array) -> tuple[FloatArray, BoolArray, BoolArray]:
+        cell, z, lowest = held(box)
+        return lowest, *standing(beside, lowest, cell, z, seen.cell_width)
+
+    def edges(box: Box, height: Float32Array, state: ByteArray, lowest: FloatArray) -> tuple[BoolArray, BoolArray]:
+        cell, z, _ = held(box)
+        return guard_edges(as_map(height, state), lowest, cell, z, config)
+
+    lowest, material, at_floor = grid.around("stood", 0, stood, near.height, points=True)
+    filled = fill_holes(seen, grid, near, (material, at_floor), voids, config, site.noise)
+    own = filled.height, filled.state, lowest
+    stair, guarded = grid.around("edges", notch_reach(seen), edges, *own, points=True)
+    if site.rays is not None:
+        return seen_by_rays(filled, site.rays, config, site.noise), guarded
+    return _known_to_be_free(grid, filled, held, lowest, stair, config), guarded
+
+
+def _known_to_be_free(
+    grid: Grid,
+    filled: HeightMap,
+    held: Callable[[Box], Held],
+    lowest: FloatArray,
+    stair: BoolArray,
+    config: PerceptionConfig,
+) -> HeightMap:
+    """The `filled` ground but for what a thing may stand on of which only a front was seen; see `without_hidden`.
+
+    The `lowest` other point of each cell [m] and which cells are a `stair`'s are told, shape (nx, ny).
+    """
+    as_map = partial(HeightMap, filled.origin, filled.cell_width)
+
+    def faces(box: Box, height: Float32Array, state: ByteArray, stair: BoolArray) -> tuple[BoolArray]:
+        cell, z, _ = held(box)
+        face = find_faces(as_map(height, state), cell, z, config.min_headroom)
+        return (face & ~stair,)  # a flight's treads were seen to its walls
+
+    def shown(
+        box: Box, height: Float32Array, state: ByteArray, lowest: FloatArray, face: BoolArray
+    ) -> tuple[Float32Array, ByteArray]:
+        part = without_hidden(as_map(height, state), lowest, face)
+        return part.height, part.state
+
+    own = filled.height, filled.state
+    (face,) = grid.around("faces", faces_reach(filled), faces, *own, stair, points=True)
+    return as_map(*grid.around("shown", hidden_reach(filled), shown, *own, lowest, face))
+
+
+def notch_reach(surface: HeightMap) -> int:
+    """Cells within which the ground decides what guards an edge."""
+    return int(np.ceil(NOTCH_DEPTH / surface.cell_width))
+
+
+def guard_edges(
+    surface: HeightMap, lowest: FloatArray, cell: IntArray, z: FloatArray, config: PerceptionConfig
+) -> tuple[BoolArray, BoolArray]:
+    """Cells of stairs, and those where material guards an edge by itself.
+
+    That does only what the lowest body cannot pass under. The wall of a drop does not; but what is seen below a shadow
+    in a stair, with treads on either side, is the stair.
+
+    Args:
+        surface: The ground.
+        lowest: Of the other points in each cell [m], shape (nx, ny).
+        cell: Flat cell of each other point, shape (m,).
+        z: Its height [m], shape (m,).
+        config: Limits.
+    """
+    known, reach = surface.state != UNKNOWN, notch_reach(surface)
+    high, low = np.where(known, surface.height, -np.inf), np.where(known, surface.height, np.inf)
+    beside, foot = highest_around(high, 1) + config.min_headroom, lowest_around(low, reach)
+    shut, stair = lowest <= beside, highest_around(high, reach) - foot > 2.0 * surface.cell_width
+
+    over, beside = (foot + LEAST_OBSTACLE).astype(np.float64), beside.astype(np.float64)
+    guards = np.isfinite(extent_within(cell, z, over, beside)[0])
+    return stair, guards | between_treads(surface, shut & stair & ~known, config.stair_step)

@@ -1,0 +1,172 @@
+"""The other points of a level: what is not its ground and within reach over it, cell by cell."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from math import ceil
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpdf_service.config import PerceptionConfig
+from gpdf_service.fields.threads import run_beside, run_chunked
+from gpdf_service.perception.cloud import Rows
+from gpdf_service.perception.footing import flights, rings_of
+from gpdf_service.perception.ground_level import Made, Site
+from gpdf_service.perception.holes import MAX_HOLE_RADIUS, find_rims, find_voids
+from gpdf_service.perception.ledges import find_ledges, ground_reach, ledge_reach
+from gpdf_service.perception.notches import FLIGHT
+from gpdf_service.perception.overhead import Columns, over_head, unseen_asks, unseen_beneath
+from gpdf_service.perception.sheets import OVERLAP
+from gpdf_service.tiles.boxes import WHOLE, Box, highest_around, lowest_around, widened, window
+from gpdf_service.tiles.columns import by_cell, runs_of, starts_spliced, take_out, unlike_cells, values_spliced
+from gpdf_service.tiles.rows import INDEX, between, chosen_rows, extent_within, rows_by_cell, taken, under
+from gpdf_service.tiles.surface import UNKNOWN, HeightMap, Nearest, cells_within, cropped
+from gpdf_service.tiles.told import Grid, boxes_of, grown
+from gpdf_service.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
+
+PICKED = 0.4
+"""[-] Share of the cells of a cloud from which on all points are read: to pick one out takes as long as to read two."""
+TALLEST = 3.0
+"""[m] Material higher than this over the ground is out of every body's reach."""
+Held = tuple[IntArray, FloatArray, FloatArray]
+"""Flat cell and height [m] of each other point, shape (m,), and the lowest of each cell [m]."""
+
+
+class Others(NamedTuple):
+    """The other points of a level [m], shape (m, 3), and their ledges; where those of each cell begin.
+
+    Beside these the cells that hold others than before, shape (nx, ny).
+    """
+
+    points: FloatArray
+    ledge: Float32Array
+    first: IntArray
+    unlike: BoolArray
+
+
+def _near_cells(high: FloatArray, width: float, config: PerceptionConfig) -> BoolArray:
+    """Cells whose points can tell a level anything, (nx, ny), by the `high` ground within `OVERLAP` of each [m].
+
+    No void is further from ground than `MAX_HOLE_RADIUS`, which is less, and no underside further than `widest_gap`
+    from what is over the ground there.
+    """
+    return widened(np.isfinite(high), rings_of(config.widest_gap, width))
+
+
+def _read(site: Site, cells: BoolArray) -> BoolArray:
+    """The cells, or all of their grid where most of the cloud is in them: then to pick out points costs more."""
+    return np.ones_like(cells) if np.count_nonzero(cells) > PICKED * site.cells.size else cells
+
+
+def _columns_in(site: Site, sheet: BoolArray, seen: HeightMap, cells: BoolArray, near: BoolArray) -> Columns:
+    """The points in some cells `near` the ground, but for strays and the ground of a `sheet`: these are in no cell."""
+    box, (rows, points) = window(cells, 0), site.cloud.part(seen, _read(site, cells & near))
+    cell, stray, ground = cells_within(points, seen, box), site.stray[rows], site.ground[rows]
+    nodes = site.layers.grid_of(points), sheet, seen.state[box].size
+    run_chunked(lambda a, b: take_out(points[a:b], stray[a:b], ground[a:b], *nodes, cell[a:b]), len(points))
+    return Columns(box, cell, points, ground)
+
+
+def _flat_cells(box: Box, cells: BoolArray) -> IntArray:
+    """Flat cell in the grid of each in a box, and behind them that of none; so is that of all but the `cells`."""
+    (rows, columns), (nx, ny) = grown(box, 0, cells.shape), cells.shape
+    flat = np.add.outer(np.arange(rows.start * ny, rows.stop * ny, ny), np.arange(columns.start, columns.stop))
+    made: IntArray = np.append(np.where(cells[box], flat, nx * ny).ravel(), nx * ny).astype(INDEX)
+    return made
+
+
+def find_others(site: Site, sheet: BoolArray, seen: HeightMap, near: Nearest, grid: Grid, was: Made) -> Others:
+    """The points within reach over the seen ground of a `sheet`, and into the grid its voids, see `find_voids`."""
+    width, max_step = seen.cell_width, site.config.max_step
+
+    def answer(_: Box, height: Float32Array, state: ByteArray) -> tuple[NDArray[Any], ...]:
+        part = replace(seen, height=height, state=state)
+        treads = (state != UNKNOWN) & flights(part, max_step, FLIGHT)
+        return *lowest_and_highest(part), treads, find_rims(part)
+
+    reach = ceil(max(OVERLAP, FLIGHT) / width) + 3
+    low, high, treads, rim = grid.around("span", reach, answer, seen.height, seen.state)
+    beside = np.where(near.distance <= MAX_HOLE_RADIUS, near.height, np.float32(np.nan))
+    own = grid.known["seen"].given[0], beside
+    asked, within = unseen_asks(grid, *own, width, site.config), _near_cells(high, width, site.config)
+    columns = _columns_in(site, sheet, seen, asked, within)
+    hidden = unseen_beneath(grid, columns, *own, width, site.config)
+    given = *own, seen.height, low, high, treads, rim, hidden
+    cells = grid.felt("voids", 0, *given, points=True)
+    box, cell, points, ground = columns if asked.all() else _columns_in(site, sheet, seen, cells, within)
+    part, shown, z = cropped(seen, box), Nearest(near.distance[box], near.height[box]), points[:, 2]
+    near_by, found = run_beside(
+        partial(between, cell, z, under(low[box] - width), high[box] + TALLEST),
+        partial(find_voids, part, shown, treads[box], rim[box], cell, z, max_step),
+    )
+    grid.put("voids", given, cells, [(box, found)] if cells.any() else [])
+    over = np.where(hidden[box], over_head(beside[box], site.config), np.inf)
+    deep = between(np.where(ground, cell, cell.dtype.type(over.size)), z, over, np.full(over.shape, np.inf))
+    cell, out = _flat_cells(box, cells)[np.where(near_by, cell, over.size)], cells.size
+    begin, order = by_cell(cell, out + 1)
+    fresh, begin = taken(points, order[: begin[-2]]), begin[:-1]
+    fresh[deep[order[: len(fresh)]], 2] -= max_step  # ground over head counts as what it may reach down to
+    unlike = cells if cells.all() else unlike_cells(cells, was.first, was.level.other_points, begin, fresh)
+    places = unlike.ravel(), was.first, begin
+    first, runs = starts_spliced(*places), runs_of(*places)
+    other = values_spliced(runs, was.level.other_points, fresh)
+    ledge = values_spliced(runs, was.level.ledge, np.full(len(fresh), np.inf, np.float32))
+    return Others(other, ledge, first, unlike)
+
+
+def find_ledges_in(site: Site, surface: HeightMap, held: Others, asked: BoolArray) -> Float32Array:
+    """The ledges, `find_ledges`, with those in the cells that are `asked` for told anew, box after box."""
+    ledge, shape = held.ledge.copy(), surface.state.shape
+    reach = max(shape) if site.noise > 0.0 else ground_reach(surface) + ledge_reach(surface)  # noise asks others, too
+    for box in boxes_of(asked, reach):
+        outer, cells = grown(box, reach, shape), np.zeros(shape, dtype=bool)
+        cells[grown(box, ground_reach(surface), shape)] = True
+        own, floor = rows_in(held.first, box, shape), site.cloud.chosen(surface, _read(site, cells), site.ground)
+        ledge[own] = find_ledges(surface, floor, held.points[own], site.config.max_step, site.noise, outer)
+    return ledge
+
+
+def in_order(other: FloatArray, surface: HeightMap) -> tuple[FloatArray, IntArray]:
+    """The `other` points (m, 3) in the order of their cells, and where each cell begins, shape (cells + 1,)."""
+    first, order = by_cell(cells_within(other, surface), surface.state.size)
+    return taken(other, order), first
+
+
+def rows_in(first: IntArray, box: Box, shape: tuple[int, ...]) -> Rows:
+    """Rows of the points in a box of cells of a grid, where those of each cell begin at `first`: they are in order."""
+    (rows, columns), ny = grown(box, 0, shape), shape[1]
+    if (columns.start, columns.stop) == (0, ny):
+        return slice(first[rows.start * ny], first[rows.stop * ny])
+    cells = np.zeros(shape, dtype=bool)
+    cells[box] = True
+    return rows_by_cell(cells, first)
+
+
+def held_in(other: FloatArray, first: IntArray, surface: HeightMap, box: Box) -> Held:
+    """Flat cell and height [m] of each of the `other` points (m, 3), `in_order`, in a box, and the lowest of a cell."""
+    held = other[rows_in(first, box, surface.state.shape)]
+    cell, z = cells_within(held, surface, box), np.ascontiguousarray(held[:, 2])
+    ends = np.full(surface.state[box].shape, np.inf)
+    return cell, z, extent_within(cell, z, -ends, ends)[0]
+
+
+def within_reach(points: FloatArray, surface: HeightMap, box: Box = WHOLE) -> FloatArray:
+    """Points between a cell under the lowest known ground near them and `TALLEST` over the highest.
+
+    The `box` of cells holds all points, and `OVERLAP` around them.
+    """
+    low, high = lowest_and_highest(surface, box)
+    cell = cells_within(points, surface, box)
+    return chosen_rows(points, between(cell, points[:, 2], under(low - surface.cell_width), high + TALLEST))
+
+
+def lowest_and_highest(surface: HeightMap, box: Box = WHOLE) -> tuple[FloatArray, FloatArray]:
+    """Height of the lowest and of the highest known ground within `OVERLAP` [m], shape (nx, ny), in a box of cells."""
+    rings = int(np.ceil(OVERLAP / surface.cell_width))
+    known, height = surface.state[box] != UNKNOWN, surface.height[box]
+    low = lowest_around(np.where(known, height, np.inf), rings)
+    high = highest_around(np.where(known, height, -np.inf), rings)
+    return low, high
