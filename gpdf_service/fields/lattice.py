@@ -106,19 +106,10 @@ class _Rows(NamedTuple):
 def _rows_of(lattice: Lattice) -> _Rows:
     corner = np.ascontiguousarray(np.indices([-(-size // TILE) for size in lattice.height.shape]).reshape(2, -1).T)
     tile = TILE * corner[np.argsort(morton(corner + np.array(lattice.first) + _MIDDLE))]
-    count = _held(lattice.height)[tile[:, 0] // TILE, tile[:, 1] // TILE]
+    rows, columns = (np.arange(0, size, TILE) for size in lattice.height.shape)
+    held = np.add.reduceat(~np.isnan(lattice.height), rows, axis=0, dtype=np.int32)
+    count = np.add.reduceat(held, columns, axis=1)[tuple(tile.T // TILE)]
     return _Rows(tile[count > 0], np.concatenate([[0], np.cumsum(count[count > 0])]))
-
-
-@njit(cache=True, nogil=True)
-def _held(height: FloatArray) -> IntArray:
-    """How many points each tile holds, shape (tiles along x, along y): counted in one pass that writes no mask."""
-    nx, ny = height.shape
-    made = np.zeros((-(-nx // TILE), -(-ny // TILE)), np.int64)
-    for x in range(nx):
-        for y in range(ny):
-            made[x // TILE, y // TILE] += not np.isnan(height[x, y])
-    return made
 
 
 def fit_lattice(lattice: Lattice, domain: Domain, former: tuple[Gpdf, Lattice] | None = None) -> Gpdf:

@@ -224,27 +224,19 @@ def _feel(places: Tree, squares: Squares, free: BoolArray, whole: BoolArray, rad
 def _merge_edges(now: IntArray, same: BoolArray, old: Edges, fresh: Edges, squares: Squares, made: Edges) -> int:
     """Write old edges between leaves that are the `same`, and fresh ones, as `find_edges` orders them; how many."""
     (ends, via), used, f = made, 0, 0
-    ahead = _rank_of(fresh, f, squares)
     for e in range(len(old[0]) + 1):
         last = e == len(old[0])
         a, b = (0, 0) if last else (now[old[0][e, 0]], now[old[0][e, 1]])
         if a < 0 or b < 0 or not (last or (same[a] and same[b])):
             continue
         rank = (4, 0) if last else (_side(old[1][e], squares, a), a)
-        while ahead < rank:
+        while f < len(fresh[0]) and (_side(fresh[1][f], squares, fresh[0][f, 0]), fresh[0][f, 0]) < rank:
             ends[used], via[used] = fresh[0][f], fresh[1][f]
             used, f = used + 1, f + 1
-            ahead = _rank_of(fresh, f, squares)
         if not last:
             ends[used, 0], ends[used, 1], via[used] = a, b, old[1][e]
             used += 1
     return used
-
-
-@njit(cache=True, nogil=True)
-def _rank_of(edges: Edges, e: int, squares: Squares) -> tuple[int, int]:
-    """Side and leaf that an edge is ordered by; behind the last edge more than that of any."""
-    return (5, 0) if e == len(edges[0]) else (_side(edges[1][e], squares, edges[0][e, 0]), edges[0][e, 0])
 
 
 @njit(cache=True, nogil=True)
