@@ -17,7 +17,15 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from gpdf_service.denoise.cells import Cells, begin_sweep, rows_in_plan, runs_within, sort_into_cells, sum_cells
+from gpdf_service.denoise.cells import (
+    Cells,
+    begin_sweep,
+    rows_in_plan,
+    runs_within,
+    some_of,
+    sort_into_cells,
+    sum_cells,
+)
 from gpdf_service.denoise.cloud import HIDDEN
 from gpdf_service.denoise.treads import EDGE_ERROR, Treads, log_density, look_for_treads, settle_treads
 from gpdf_service.fields.threads import run_chunked
@@ -231,9 +239,8 @@ def _gradients(cells: Cells) -> tuple[FloatArray, FloatArray]:
     It is 0 where there is none.
     """
     sums, gradient = sum_cells(cells), np.zeros((len(cells.key), 2))
-    x, rest = np.divmod(cells.key, cells.strides[0])
-    middles = (np.column_stack([x, *np.divmod(rest, cells.strides[1])]) + 0.5) * cells.width
-    voxels = cells._replace(places=middles + sums[:, 1:4] / sums[:, :1], begin=np.arange(len(x) + 1))
+    middles = some_of(cells, np.ones(len(gradient), dtype=bool)).middle
+    voxels = cells._replace(places=middles + sums[:, 1:4] / sums[:, :1], begin=np.arange(len(gradient) + 1))
     run_chunked(lambda a, b: _gradient_range(voxels, sums[:, 0], a, b, gradient), len(gradient))
     return cells.corner + voxels.places, gradient
 

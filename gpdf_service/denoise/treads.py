@@ -143,13 +143,11 @@ def log_density(points: FloatArray, treads: Treads) -> FloatArray:
 def _starts(points: FloatArray, noise: float, slope: FloatArray, floor: float, ceiling: float) -> list[Treads]:
     """The likeliest of the regular flights along the ramp."""
     steep, angle = float(np.hypot(slope[0], slope[1])), float(np.arctan2(slope[1], slope[0]))
-    likely = _try_regular(points, angle, (steep, float(slope[2])), (floor, ceiling), noise)
+    ramp, ends = (steep, float(slope[2])), (floor, ceiling)
+    likely = _try_regular(points, angle, ramp, ends, noise)
     order = np.argsort(-likely, axis=None, kind="stable")[:_REFINED]
     best = [divmod(int(one), _PHASES) for one in order if likely.flat[one] > -np.inf]
-    return [
-        Treads(angle, *_regular_flight(rise, phase, (steep, float(slope[2])), (floor, ceiling)), noise)
-        for rise, phase in best
-    ]
+    return [Treads(angle, *_regular_flight(rise, phase, ramp, ends), noise) for rise, phase in best]
 
 
 def _refined(points: FloatArray, treads: Treads, noise: float) -> tuple[Treads, float]:
