@@ -191,8 +191,8 @@ def _is_face(level: GroundLevel, rows: IntArray, cell: IntArray, max_step: float
     """
     surface, noise = level.surface, scan.noise
     known = np.where(surface.state != UNKNOWN, surface.height, np.float32(np.nan))
-    wide = surface.cell_width <= FACE, scan.voxels
-    told = _Beside(known, surface.state == INFERRED, *wide, astray(surface, noise), max_step, noise)
+    narrow, rings = surface.cell_width <= FACE, astray(surface, noise)
+    told = _Beside(known, surface.state == INFERRED, narrow, scan.voxels, rings, max_step, noise)
     other, face = (level.other_points, cell, level.ledge), np.zeros(len(rows), dtype=bool)
     run_chunked(lambda a, b: _faces(rows[a:b], other, told, face[a:b]), len(rows))
     if max_step > ROUGH:
