@@ -83,12 +83,16 @@ def cell_width_of(points: FloatArray, config: PerceptionConfig) -> float:
         distance = _median_to(k, floor_points, picked, corner, far, _COLUMN)
     if distance > _COLUMN:
         distance = float(np.median(cKDTree(floor_points).query(floor_points[picked], k=k + 1, workers=-1)[0][:, k]))
-    return exact(min(max(MIN_CELL, in_steps(1.5 * distance * float(np.sqrt(np.pi / k)))), widest_cell(config)))
+    return min(exact(max(MIN_CELL, in_steps(1.5 * distance * float(np.sqrt(np.pi / k))))), widest_cell(config))
 
 
 def exact(width: float) -> float:
-    """A width whose multiples are no rounded numbers: a cell has the same corners in each box of a grid [m]."""
-    return float(np.float32(width))
+    """A width whose multiples are no rounded numbers: a cell has the same corners in each box of a grid [m].
+
+    It is no wider than asked for, so that as many cells are in a length as are in it: five of 5 cm in a foot's 25 cm.
+    """
+    near = np.float32(width)
+    return float(near if float(near) <= width else np.nextafter(near, np.float32(0.0)))
 
 
 def columns_over(corner: FloatArray, far: FloatArray, width: float) -> tuple[int, int]:

@@ -5,8 +5,9 @@ import pytest
 
 import gpdf_service as gpdf
 from gpdf_service.config import PerceptionConfig
+from gpdf_service.perception.footing import rings_of
 from gpdf_service.perception.levels import survey_levels
-from gpdf_service.tiles.layers import cell_width_of, widest_cell
+from gpdf_service.tiles.layers import MIN_CELL, cell_width_of, widest_cell
 
 CONFIG = PerceptionConfig()
 
@@ -60,6 +61,12 @@ def test_samples_that_a_foot_bridges_carry_a_path_that_tells_their_spacing(spaci
 def test_cells_do_not_grow_with_the_spacing():
     assert cell_width_of(lattice(67.0, 500), CONFIG) == widest_cell(CONFIG) < np.sqrt(2.0) * CONFIG.widest_gap
     assert cell_width_of(lattice(0.1, 500), CONFIG) == pytest.approx(0.15, abs=0.03)
+
+
+def test_as_many_of_the_smallest_cells_are_in_a_length_as_are_in_it():
+    width = cell_width_of(lattice(0.02, 500), CONFIG)
+    assert width == pytest.approx(MIN_CELL)
+    assert [rings_of(count * MIN_CELL, width) for count in range(1, 20)] == list(range(1, 20))
 
 
 def test_a_scanners_blind_spot_in_a_dense_floor_is_explained_and_the_certificate_tells_it():

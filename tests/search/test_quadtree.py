@@ -22,7 +22,9 @@ def ground(rng, shape, width, unknown=0.1):
 
 def leaves_of(surface, places, radius):
     """Corner, size, clearance and state of every leaf: by the docstring, down from the root."""
-    width, away = float(np.float32(max(MIN_WIDTH, CELL_SHARE * surface.cell_width))), cKDTree(places)
+    asked, away = max(MIN_WIDTH, CELL_SHARE * surface.cell_width), cKDTree(places)
+    near = np.float32(asked)
+    width = max(width for width in map(float, (near, np.nextafter(near, np.float32(0.0)))) if width <= asked)
     corner, side = np.floor(surface.origin / (ANCHORED * width)) * ANCHORED * width, 1
     while (corner + side * width < surface.origin + surface.cell_width * np.array(surface.state.shape)).any():
         side *= 2
