@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from gpdf_service.clouds import read_cloud as read_cloud
     from gpdf_service.config import Config as Config
     from gpdf_service.errors import GpdfError as GpdfError
-    from gpdf_service.perception import segment_ground as segment_ground
+    from gpdf_service.perception import segment_ground
     from gpdf_service.pipeline import build_scene as build_scene
     from gpdf_service.pipeline import plan as plan
     from gpdf_service.scene import Scene as Scene

@@ -33,17 +33,14 @@ from gpdf_service.fields import (
 )
 from gpdf_service.fields.spacing import estimate_spacing, thin
 from gpdf_service.fields.threads import run_parallel
+from gpdf_service.ground import GroundLevel, Levels, Scan, Touched, are_voxels
+from gpdf_service.ground.foot import LEAST_OBSTACLE
 from gpdf_service.kernel_cache import load_kept
 from gpdf_service.perception import (
-    GroundLevel,
-    Levels,
     Perceived,
     Rays,
     Sampling,
-    Scan,
-    Touched,
     WholeError,
-    are_voxels,
     change,
     check_origins,
     count_undecided,
@@ -54,7 +51,6 @@ from gpdf_service.perception import (
 )
 from gpdf_service.perception.budget import give_back
 from gpdf_service.perception.cure import NOISE_STEP
-from gpdf_service.perception.ledges import LEAST_OBSTACLE
 from gpdf_service.perception.segment import LEAST_SCATTER
 from gpdf_service.search import (
     FreeSpace,

@@ -45,11 +45,11 @@ MODULES = {
         "tests/search/test_wavefront.py",
         "tests/planning/test_footprint.py",
     ),
-    "gpdf_service/perception/obstacles.py": (
-        "tests/perception/test_obstacles_oracle.py",
-        "tests/perception/test_obstacles.py",
+    "gpdf_service/ground/obstacles.py": (
+        "tests/ground/test_obstacles_oracle.py",
+        "tests/ground/test_obstacles.py",
     ),
-    "gpdf_service/perception/limits.py": ("tests/perception/test_limits.py",),
+    "gpdf_service/ground/limits.py": ("tests/ground/test_limits.py",),
     "gpdf_service/service/in_use.py": ("tests/service/test_in_use.py",),
     "gpdf_service/service/moving.py": ("tests/service/test_moving.py",),
     "clients/gpdf_guidance/corridor.py": ("tests/clients/test_corridor.py", "tests/clients/test_guidance.py"),
@@ -72,7 +72,7 @@ ASKED = "moves and (asked := self._asked.setdefault(scene, [])) is not None"
 HIGH = "(points <= high + np.array([radius, radius, agent.height]))"
 RIM = "rim = np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]])"
 CERTIFICATE = "gpdf_service/planning/certificate.py"
-LIMITS, OBSTACLES = "gpdf_service/perception/limits.py", "gpdf_service/perception/obstacles.py"
+LIMITS, OBSTACLES = "gpdf_service/ground/limits.py", "gpdf_service/ground/obstacles.py"
 GRAPH, QUADTREE = "gpdf_service/search/graph.py", "gpdf_service/search/quadtree.py"
 LOOKED = "looked = np.zeros((max(last[0] - first[0], 0), max(last[1] - first[1], 0)), np.bool_)"
 SPARE = "count = max(1, int(np.ceil(length / sample))) if length < np.inf else 1  # NaN: over no known ground"

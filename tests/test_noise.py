@@ -8,8 +8,8 @@ from gpdf_service.bench.judge import Judge
 from gpdf_service.bench.plan import random_places
 from gpdf_service.bench.scanned import overlap, scanned
 from gpdf_service.config import PerceptionConfig
+from gpdf_service.ground.footing import ROUGH
 from gpdf_service.perception.cure import cure_and_segment
-from gpdf_service.perception.footing import ROUGH
 from gpdf_service.synthetic import SCENES
 from gpdf_service.synthetic.world import Box, World
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from gpdf_service.baselines.occupancy import Occupancy, build_occupancy
 from gpdf_service.fields import build_tree
-from gpdf_service.perception import ObstacleKind, Obstacles
+from gpdf_service.ground import ObstacleKind, Obstacles
 from gpdf_service.planning.endpoints import SAME_GROUND, Endpoint, Refusal, find_endpoint
 from gpdf_service.scene import Scene
 from gpdf_service.search import FreeSpace, Quadtree, build_quadtree

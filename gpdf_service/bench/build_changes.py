@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from gpdf_service.bench.report import Row, each
+from gpdf_service.ground import GroundLevel
 from gpdf_service.kernel_cache import load_kept
-from gpdf_service.perception import GroundLevel
 from gpdf_service.pipeline import build_scene
 from gpdf_service.scene import Scene, assemble_scene
 from gpdf_service.search.layered import below

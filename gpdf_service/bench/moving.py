@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from gpdf_service.bench.report import Row
-from gpdf_service.perception.ledges import LEAST_OBSTACLE
+from gpdf_service.ground.foot import LEAST_OBSTACLE
 from gpdf_service.pipeline import plan
 from gpdf_service.planning.footprint import disc_places
 from gpdf_service.scene import Scene

@@ -71,7 +71,7 @@ def _no_steps(_: Any, asked: BoolArray, config: PerceptionConfig) -> tuple[Float
     return np.full(asked.shape, LOW * config.min_headroom), np.zeros_like(asked)
 
 
-_P, _D = "gpdf_service.perception.", "gpdf_service.denoise."
+_P, _G, _D = (f"gpdf_service.{layer}." for layer in ("perception", "ground", "denoise"))
 RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "a foot on sparse cells": (_P + "segment", "find_footing", _false(2)),
     "rough treads between stances": (_P + "segment", "find_between", _false(1)),
@@ -117,12 +117,12 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "blind spots": (_P + "rays", "_blind_spots", lambda _, asked, __: np.zeros_like(asked)),
     "holes that rays fell through": (_P + "rays", "_of_one_hole", lambda _, asked, *__: np.zeros_like(asked)),
     "shadows and edges of steps": (_P + "rays", "_steps_beside", _no_steps),
-    "slanted faces are steps": (_P + "limits", "_slanted", lambda _, slope: np.full(slope.shape, np.inf)),
-    "narrow treads": (_P + "limits", "_is_narrow_tread", lambda height, *_: np.zeros(height.shape, dtype=bool)),
+    "slanted faces are steps": (_G + "limits", "_slanted", lambda _, slope: np.full(slope.shape, np.inf)),
+    "narrow treads": (_G + "limits", "_is_narrow_tread", lambda height, *_: np.zeros(height.shape, dtype=bool)),
     "ridges of flights": (_P + "levels", "ridges", lambda surface, *_: np.zeros(surface.state.shape, dtype=bool)),
-    "faces of steps": (_P + "obstacles", "_is_face", _false(1)),
-    "worn treads": (_P + "obstacles", "on_treads", _false(0)),
-    "headroom from the foot's tread": (_P + "obstacles", "_over_head", lambda points, *_: np.ones(len(points), bool)),
+    "faces of steps": (_G + "obstacles", "_is_face", _false(1)),
+    "worn treads": (_G + "obstacles", "on_treads", _false(0)),
+    "headroom from the foot's tread": (_G + "obstacles", "_over_head", lambda points, *_: np.ones(len(points), bool)),
     "voxels": ("gpdf_service.scene", "are_voxels", lambda _: False),
     "cure of noise": (_P + "cure", "denoise", lambda points, _, noise: as_measured(points, noise)),
     "treads under noise": (_P + "cure", "_settle_stairs", lambda *_: None),

@@ -16,8 +16,8 @@ from numba import njit
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.ground.foot import SOLE
 from gpdf_service.kernel_cache import lean
-from gpdf_service.perception.strides import SOLE
 from gpdf_service.tiles.beside import Beside, Strips
 from gpdf_service.tiles.boxes import lowest_around
 from gpdf_service.tiles.layers import HALF, Layers

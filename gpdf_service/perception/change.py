@@ -13,17 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gpdf_service.config import PerceptionConfig
+from gpdf_service.ground import Levels, Touched
 from gpdf_service.perception.cloud import Cloud, WholeError
-from gpdf_service.perception.ground_level import Levels
 from gpdf_service.perception.levels import Survey, alone, change_levels
 from gpdf_service.perception.segment import Segmentation, change_segmentation
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.tiles.points import Points
 from gpdf_service.types import BoolArray, FloatArray, IntArray
-
-Touched = tuple[tuple[int, BoolArray | None], ...]
-"""For each level which one of those before it was made from, −1 where there was none, and the cells in which anything
-is another than there, shape (nx, ny), None where nothing is."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from gpdf_service.ground.foot import HALF_FOOT
 from gpdf_service.perception.holes import CEILING, MAX_HOLE_RADIUS
-from gpdf_service.perception.strides import HALF_FOOT
 from gpdf_service.tiles.boxes import highest_around
 from gpdf_service.tiles.nearest import nearest_of
 from gpdf_service.tiles.rows import extent_within

@@ -10,8 +10,7 @@ from numba import njit
 
 from gpdf_service.errors import SceneFileError
 from gpdf_service.fields.threads import run_parallel
-from gpdf_service.perception.ground_level import Levels
-from gpdf_service.perception.limits import GroundLimits, ObstacleKind
+from gpdf_service.ground import GroundLimits, Levels, ObstacleKind
 from gpdf_service.perception.others import in_order
 from gpdf_service.store import Arrays, flatten, restore
 from gpdf_service.tiles.columns import by_cell

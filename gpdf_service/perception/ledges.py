@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-from math import ceil
-
 import numpy as np
 from numba import njit
 
 from gpdf_service.denoise.cells import Cells, begin_sweep, runs_within, sort_into_cells
 from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.footing import by_treads, footholds, footing_reach
-from gpdf_service.perception.smooth import RESOLVED_STEP
+from gpdf_service.ground.foot import FACE, LEAST_OBSTACLE, RESOLVED_STEP, astray
+from gpdf_service.ground.footing import by_treads, footholds, footing_reach
 from gpdf_service.tiles.boxes import WHOLE, Box, highest_around, lowest_around, widened
 from gpdf_service.tiles.columns import ends_of_runs, lowest_above
 from gpdf_service.tiles.rows import between, chosen_rows
 from gpdf_service.tiles.surface import UNKNOWN, HeightMap, cells_within, cropped
 from gpdf_service.types import BoolArray, Float32Array, FloatArray, IntArray
 
-FACE = 0.1
-"""[m] A step's face has the step's top within this in plan at most: half the depth of a stair's tread."""
 NOSING = 0.03
 """[m] By which a tread stands over the face below it: building codes say 0.016 to 0.032."""
-LEAST_OBSTACLE = 0.015
-"""[m] What stands out of the ground by less stops no body here: the smallest `max_step`, and the scatter of a scan."""
 HIGH = 2
 """Cells around one whose ground says how high a step there can be."""
 RIM_SHARE, RIM_NOISE = 0.25, 0.05
@@ -163,11 +157,6 @@ def step_over(surface: HeightMap, noise: float) -> FloatArray:
     rings = astray(surface, noise)
     found: FloatArray = lowest_around(low, rings) + max(LEAST_OBSTACLE, noise)
     return found
-
-
-def astray(surface: HeightMap, noise: float) -> int:
-    """How many cells a point of a step's face may lie from the ground under or over it."""
-    return max(1, ceil(RESOLVED_STEP * noise / surface.cell_width))
 
 
 def next_above(ground: FloatArray, points: FloatArray, least: FloatArray, reach: float = FACE) -> Float32Array:

@@ -10,17 +10,19 @@ import numpy as np
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_beside, run_parallel
+from gpdf_service.ground import GroundLevel, Levels, Portal
+from gpdf_service.ground.footing import FLIGHT_RISE, ridges, ridges_reach
+from gpdf_service.ground.limits import limits_reach, step_and_slope
 from gpdf_service.perception.budget import KEPT_BYTES, LEVEL_BYTES, check_grid, give_back
 from gpdf_service.perception.cloud import Cloud, change_layers
 from gpdf_service.perception.complete import complete
-from gpdf_service.perception.footing import FLIGHT_RISE, ridges, ridges_reach
-from gpdf_service.perception.ground_level import GroundLevel, Levels, Made, Part, Portal, Site
 from gpdf_service.perception.ledges import ground_reach, ledge_reach, ledges_felt
-from gpdf_service.perception.limits import limits_reach, step_and_slope
 from gpdf_service.perception.others import find_ledges_in, find_others, held_in
 from gpdf_service.perception.rays import Rays
 from gpdf_service.perception.seen import part_of, sheet_surface
+from gpdf_service.perception.segment import LEAST_SCATTER
 from gpdf_service.perception.sheets import split_sheets
+from gpdf_service.perception.site import Made, Part, Site
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.tiles.beside import Beside, beside, beside_now
 from gpdf_service.tiles.boxes import Box, widened
@@ -276,3 +278,15 @@ def measure(grid: Grid, surface: HeightMap) -> tuple[FloatArray, FloatArray, Boo
     step, slope = grid.around("measured", limits_reach(surface), steps, *given)
     (ridge,) = grid.around("ridges", ridges_reach(surface), over, *given, pits, *drops)
     return step, slope, ridge
+
+
+def count_undecided(level: GroundLevel, noise: float = 0.0) -> int:
+    """Points at the ground that are not called ground though they lie within twice its scatter: ground, or a sill.
+
+    Args:
+        level: One sheet.
+        noise: Standard deviation of the cloud's points [m].
+    """
+    ix, iy, _ = level.surface.cells(level.other_points)
+    off = np.abs(level.other_points[:, 2] - level.surface.height[ix, iy])  # NaN, where it is unknown, compares false
+    return int(np.count_nonzero(off <= 2.0 * max(LEAST_SCATTER, 3.0 * noise)))

@@ -10,9 +10,9 @@ from numba import njit
 from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
+from gpdf_service.ground.foot import SOLE, STRIDE
+from gpdf_service.ground.footing import ROUGH, flights
 from gpdf_service.kernel_cache import lean
-from gpdf_service.perception.footing import ROUGH, flights
-from gpdf_service.perception.strides import SOLE, STRIDE
 from gpdf_service.tiles.boxes import window
 from gpdf_service.tiles.nearest import nearest_of
 from gpdf_service.tiles.surface import INFERRED, UNKNOWN, HeightMap

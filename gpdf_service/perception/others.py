@@ -12,25 +12,23 @@ from numpy.typing import NDArray
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_beside, run_chunked
+from gpdf_service.ground.footing import flights, rings_of
+from gpdf_service.ground.level import OVERLAP, TALLEST, lowest_and_highest
 from gpdf_service.perception.cloud import Rows
-from gpdf_service.perception.footing import flights, rings_of
-from gpdf_service.perception.ground_level import Made, Site
 from gpdf_service.perception.holes import MAX_HOLE_RADIUS, find_rims, find_voids
 from gpdf_service.perception.ledges import find_ledges, ground_reach, ledge_reach
 from gpdf_service.perception.notches import FLIGHT
 from gpdf_service.perception.overhead import Columns, over_head, unseen_asks, unseen_beneath
-from gpdf_service.perception.sheets import OVERLAP
-from gpdf_service.tiles.boxes import WHOLE, Box, highest_around, lowest_around, widened, window
+from gpdf_service.perception.site import Made, Site
+from gpdf_service.tiles.boxes import Box, widened, window
 from gpdf_service.tiles.columns import by_cell, runs_of, starts_spliced, take_out, unlike_cells, values_spliced
-from gpdf_service.tiles.rows import INDEX, between, chosen_rows, extent_within, rows_by_cell, taken, under
+from gpdf_service.tiles.rows import INDEX, between, extent_within, rows_by_cell, taken, under
 from gpdf_service.tiles.surface import UNKNOWN, HeightMap, Nearest, cells_within, cropped
 from gpdf_service.tiles.told import Grid, boxes_of, grown
 from gpdf_service.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
 PICKED = 0.4
 """[-] Share of the cells of a cloud from which on all points are read: to pick one out takes as long as to read two."""
-TALLEST = 3.0
-"""[m] Material higher than this over the ground is out of every body's reach."""
 Held = tuple[IntArray, FloatArray, FloatArray]
 """Flat cell and height [m] of each other point, shape (m,), and the lowest of each cell [m]."""
 
@@ -151,22 +149,3 @@ def held_in(other: FloatArray, first: IntArray, surface: HeightMap, box: Box) ->
     cell, z = cells_within(held, surface, box), np.ascontiguousarray(held[:, 2])
     ends = np.full(surface.state[box].shape, np.inf)
     return cell, z, extent_within(cell, z, -ends, ends)[0]
-
-
-def within_reach(points: FloatArray, surface: HeightMap, box: Box = WHOLE) -> FloatArray:
-    """Points between a cell under the lowest known ground near them and `TALLEST` over the highest.
-
-    The `box` of cells holds all points, and `OVERLAP` around them.
-    """
-    low, high = lowest_and_highest(surface, box)
-    cell = cells_within(points, surface, box)
-    return chosen_rows(points, between(cell, points[:, 2], under(low - surface.cell_width), high + TALLEST))
-
-
-def lowest_and_highest(surface: HeightMap, box: Box = WHOLE) -> tuple[FloatArray, FloatArray]:
-    """Height of the lowest and of the highest known ground within `OVERLAP` [m], shape (nx, ny), in a box of cells."""
-    rings = int(np.ceil(OVERLAP / surface.cell_width))
-    known, height = surface.state[box] != UNKNOWN, surface.height[box]
-    low = lowest_around(np.where(known, height, np.inf), rings)
-    high = highest_around(np.where(known, height, -np.inf), rings)
-    return low, high

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.perception.footing import rings_of
-from gpdf_service.perception.ledges import LEAST_OBSTACLE
+from gpdf_service.ground.foot import LEAST_OBSTACLE
+from gpdf_service.ground.footing import rings_of
 from gpdf_service.tiles.boxes import Box, lowest_around, widened
 from gpdf_service.tiles.rows import extent_within, under
 from gpdf_service.tiles.told import Grid, grown, within

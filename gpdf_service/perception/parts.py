@@ -11,8 +11,9 @@ from scipy.spatial import cKDTree
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
+from gpdf_service.ground.foot import HALF_FOOT, SOLE, STRIDE
 from gpdf_service.perception.bumps import LANDING
-from gpdf_service.perception.strides import HALF_FOOT, SOLE, STRIDE, find_strides
+from gpdf_service.perception.strides import find_strides
 from gpdf_service.tiles.beside import Answer, Beside, Strips
 from gpdf_service.tiles.layers import HALF, Layers, Pairs, connect, steady
 from gpdf_service.tiles.nodes import (

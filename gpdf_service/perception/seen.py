@@ -8,11 +8,12 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
-from gpdf_service.perception.footing import bridged, footing_reach
-from gpdf_service.perception.ground_level import Part
-from gpdf_service.perception.limits import neighbourhood, smoothed
-from gpdf_service.perception.sheets import OVERLAP
-from gpdf_service.perception.smooth import RESOLVED_STEP, to_centres, with_rims
+from gpdf_service.ground.foot import RESOLVED_STEP
+from gpdf_service.ground.footing import bridged, footing_reach
+from gpdf_service.ground.level import OVERLAP
+from gpdf_service.ground.limits import neighbourhood, smoothed
+from gpdf_service.perception.site import Part
+from gpdf_service.perception.smooth import to_centres, with_rims
 from gpdf_service.tiles.boxes import Box
 from gpdf_service.tiles.columns import ends_in_plan, put_heights_in_plan
 from gpdf_service.tiles.layers import BLOCK, Layers

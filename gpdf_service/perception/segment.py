@@ -13,6 +13,7 @@ from gpdf_service.clouds.read import check_points
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_beside, run_chunked
+from gpdf_service.ground.foot import HALF_FOOT, SOLE, STRIDE
 from gpdf_service.perception.budget import LAYER_BYTES, check_grid
 from gpdf_service.perception.bumps import boxes, low_things, raised_over_sides
 from gpdf_service.perception.cloud import Cloud, change_layers
@@ -25,7 +26,7 @@ from gpdf_service.perception.parts import (
     without_ceilings,
     without_crumbs,
 )
-from gpdf_service.perception.strides import BODY, HALF_FOOT, SOLE, STRIDE, find_between, find_footing, find_stances
+from gpdf_service.perception.strides import BODY, find_between, find_footing, find_stances
 from gpdf_service.tiles.beside import Beside, Strips, beside, beside_now
 from gpdf_service.tiles.layers import (
     Layers,

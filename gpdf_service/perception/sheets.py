@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 
 from gpdf_service.config import PerceptionConfig
+from gpdf_service.ground.level import OVERLAP
 from gpdf_service.perception.segment import over_ground
 from gpdf_service.tiles.beside import Answer, Beside, Strips
 from gpdf_service.tiles.columns import by_cell
@@ -24,9 +25,6 @@ from gpdf_service.tiles.nodes import (
 from gpdf_service.tiles.pairs import steps_over_gaps
 from gpdf_service.tiles.pieces import Pieces, find_pieces
 from gpdf_service.types import BoolArray, IntArray
-
-OVERLAP = 1.2
-"""[m] How far a sheet reaches into the next: twice the largest body's radius, so that a body fits where they meet."""
 
 
 def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...]:

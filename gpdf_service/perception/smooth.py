@@ -18,8 +18,6 @@ from gpdf_service.types import Float32Array
 
 _SAME = 1.0
 """[-] Heights further apart, over the noise, are two surfaces: cured cells are off by a fifth of it."""
-RESOLVED_STEP = 3.0
-"""[-] A lower step over the noise may be an unlucky cell of a cured floor, if it is of one cell."""
 _BESIDE = 2
 """Cells from a rim that a step is read over: its own two sides and one more."""
 _ALONE = 3.0

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.ground.foot import SECTORS, SOLE, STRIDE, sector_of
 from gpdf_service.kernel_cache import lean
 from gpdf_service.tiles.boxes import widened
 from gpdf_service.tiles.layers import Layers
@@ -24,12 +25,6 @@ BODY = 0.2
 LEGS = 0.3, 0.7
 """[m] Over the stance where that disc is free: over the next tread, and up to the height of the lowest body that
 steps, a Spot."""
-HALF_FOOT = 0.015
-"""[m²] Half of the sole of a foot, 25 cm by 12."""
-SOLE = 0.12
-"""[m] Half the length of a foot, and the width of one: a pit narrower than two of these is bridged by it."""
-STRIDE = 0.4
-"""[m] Widest in plan between two stances that a stride joins: the going of a stair, and its hidden half."""
 
 
 def find_stances(layers: Layers, among: BoolArray) -> BoolArray:
@@ -143,14 +138,6 @@ def _inside(i: int, columns: Columns, stance: BoolArray, part: IntArray) -> bool
 INNER = 2.0 / (3.0 * np.pi)
 """[-] Distance of the centroid of what is seen around a place from it, over the radius: half of that at a straight rim,
 where it is that of half a disc."""
-SECTORS = 16
-"""Directions in plan that are told apart around a place between two treads."""
-
-
-@njit(cache=True, nogil=True)
-def sector_of(dx: int, dy: int) -> int:
-    """Which of the `SECTORS` a cell is in, so many cells away."""
-    return int((np.arctan2(dy, dx) / (2.0 * np.pi) + 1.0) * SECTORS + 0.5) % SECTORS
 
 
 def find_between(

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from gpdf_service.fields import FieldArrays, sample_at
 from gpdf_service.fields.traversal import bracket_at
 from gpdf_service.fields.tree import Scratch, make_scratch
+from gpdf_service.ground.footing import ROUGH, crosses_flight
+from gpdf_service.ground.limits import LEAST_STEP
 from gpdf_service.kernel_cache import lean
-from gpdf_service.perception.footing import ROUGH, crosses_flight
-from gpdf_service.perception.limits import LEAST_STEP
 from gpdf_service.planning.footprint import travel_headings
 from gpdf_service.planning.shape import runs
 from gpdf_service.planning.words import measure, place_words

@@ -12,7 +12,7 @@ from numba import njit
 from scipy import ndimage
 
 from gpdf_service.fields.tree import make_scratch
-from gpdf_service.perception import ObstacleKind
+from gpdf_service.ground import ObstacleKind
 from gpdf_service.planning.certificate import FINEST
 from gpdf_service.planning.footprint import disc_places
 from gpdf_service.planning.shape import radius_within

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from gpdf_service.ground import ObstacleKind
+from gpdf_service.ground.foot import LEAST_OBSTACLE
+from gpdf_service.ground.obstacles import least_headroom
 from gpdf_service.kernel_cache import lean
-from gpdf_service.perception import ObstacleKind
-from gpdf_service.perception.ledges import LEAST_OBSTACLE
-from gpdf_service.perception.obstacles import least_headroom
 from gpdf_service.planning.certificate import min_distance
 from gpdf_service.planning.endpoints import Endpoint
 from gpdf_service.planning.words import measure, place_words

@@ -12,8 +12,8 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields.tree import Scratch, make_scratch
+from gpdf_service.ground import ObstacleKind
 from gpdf_service.kernel_cache import lean
-from gpdf_service.perception import ObstacleKind
 from gpdf_service.planning.footprint import directions
 from gpdf_service.planning.shape import SAME, lengths, runs
 from gpdf_service.search import FreeSpace, Prefer

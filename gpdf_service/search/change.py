@@ -10,8 +10,8 @@ from numba import njit
 
 from gpdf_service.fields import Gpdf, Tree, build_tree, change_tree, thin
 from gpdf_service.fields.threads import run_beside, run_parallel
-from gpdf_service.perception import GroundLevel, Levels, Obstacles, Scan, Touched, obstacles_of
-from gpdf_service.perception.obstacles import obstacles_felt, obstacles_reach
+from gpdf_service.ground import GroundLevel, Levels, Obstacles, Scan, Touched, obstacles_of
+from gpdf_service.ground.obstacles import obstacles_felt, obstacles_reach
 from gpdf_service.search.free_space import (
     FreeSpace,
     LevelSpace,

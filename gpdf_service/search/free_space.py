@@ -15,8 +15,8 @@ from gpdf_service.fields import Gpdf, Nearer, Tree, build_tree, fit_gpdf
 from gpdf_service.fields.nearer import EMPTY
 from gpdf_service.fields.threads import run_beside, run_parallel
 from gpdf_service.fields.traversal import NearerArrays, nearest_only
-from gpdf_service.perception import CLEAN, GroundLevel, Levels, Obstacles, Scan, obstacles_of
-from gpdf_service.perception.limits import Measured
+from gpdf_service.ground import CLEAN, GroundLevel, Levels, Obstacles, Scan, obstacles_of
+from gpdf_service.ground.limits import Measured
 from gpdf_service.search.core import Core, find_core, links_of
 from gpdf_service.search.graph import Edges, Graph, assemble, find_edges, price_pairs, same_leaves
 from gpdf_service.search.layered import Layered

@@ -5,7 +5,7 @@ from __future__ import annotations
 from gpdf_service.config import SearchConfig
 from gpdf_service.errors import SceneFileError
 from gpdf_service.fields import Gpdf, tree_of
-from gpdf_service.perception import GroundLevel, Levels, Obstacles
+from gpdf_service.ground import GroundLevel, Levels, Obstacles
 from gpdf_service.search.free_space import FreeSpace, LevelSpace, join_levels, reach_of
 from gpdf_service.search.quadtree import Quadtree
 from gpdf_service.store import Arrays, flatten, restore, under

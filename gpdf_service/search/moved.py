@@ -11,10 +11,9 @@ from scipy import ndimage
 
 from gpdf_service.fields import Nearer, build_tree
 from gpdf_service.fields.traversal import NearerArrays, nearest_only
-from gpdf_service.perception import GroundLevel, Levels, Obstacles, Scan, obstacles_of
-from gpdf_service.perception.limits import NO_LIMITS
-from gpdf_service.perception.others import within_reach
-from gpdf_service.perception.sheets import OVERLAP
+from gpdf_service.ground import GroundLevel, Levels, Obstacles, Scan, obstacles_of
+from gpdf_service.ground.level import OVERLAP, within_reach
+from gpdf_service.ground.limits import NO_LIMITS
 from gpdf_service.search.core import patch_core
 from gpdf_service.search.free_space import NONE, FreeSpace, Setup, fit_obstacle_field, joined
 from gpdf_service.search.graph import Edges, find_edges

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from gpdf_service.fields import AnyField, FieldArrays
 from gpdf_service.fields.tree import Scratch, make_scratch
+from gpdf_service.ground import ObstacleKind
 from gpdf_service.kernel_cache import lean
-from gpdf_service.perception import ObstacleKind
 from gpdf_service.search.boxed import boxed
 from gpdf_service.search.core import Core
 from gpdf_service.search.free_space import FreeSpace

@@ -14,7 +14,7 @@ import numpy as np
 from gpdf_schemas import TrajectoryCut
 from scipy.spatial import cKDTree
 
-from gpdf_service.perception.ledges import LEAST_OBSTACLE
+from gpdf_service.ground.foot import LEAST_OBSTACLE
 from gpdf_service.planning.footprint import disc_places
 from gpdf_service.types import Agent, FloatArray, Trajectory
 

@@ -17,7 +17,7 @@ from matplotlib.colors import LinearSegmentedColormap, ListedColormap, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
-from gpdf_service.perception import ObstacleKind
+from gpdf_service.ground import ObstacleKind
 from gpdf_service.scene import Scene
 from gpdf_service.tiles.surface import INFERRED
 from gpdf_service.types import Agent, BoolArray, FloatArray, IntArray, PlanResult, Status, Trajectory, resolve_agent

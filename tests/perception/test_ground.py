@@ -6,12 +6,14 @@ from gpdf_service import build_scene, plan
 from gpdf_service.clouds import read_cloud
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
-from gpdf_service.perception import ObstacleKind, Scan, obstacles_of, segment_ground
-from gpdf_service.perception.ground_level import GroundLevel
-from gpdf_service.perception.ledges import LEAST_OBSTACLE, find_ledges, next_above
+from gpdf_service.ground.foot import LEAST_OBSTACLE
+from gpdf_service.ground.level import GroundLevel
+from gpdf_service.ground.limits import ObstacleKind, step_and_slope
+from gpdf_service.ground.obstacles import Scan, obstacles_of
+from gpdf_service.perception.ledges import find_ledges, next_above
 from gpdf_service.perception.levels import survey_levels
-from gpdf_service.perception.limits import step_and_slope
 from gpdf_service.perception.seen import without_outliers
+from gpdf_service.perception.segment import segment_ground
 from gpdf_service.perception.strays import find_strays
 from gpdf_service.synthetic import SCENES, Box, World, ramp, random_room
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap

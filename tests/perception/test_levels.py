@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
+from gpdf_service.ground.level import OVERLAP
 from gpdf_service.perception.budget import _trim, give_back
-from gpdf_service.perception.sheets import OVERLAP
 from gpdf_service.synthetic.scenes import cave, random_room, stair
 from gpdf_service.tiles.layers import BLOCK
 from gpdf_service.tiles.surface import UNKNOWN

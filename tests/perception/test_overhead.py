@@ -6,8 +6,8 @@ import pytest
 import gpdf_service as gpdf
 from gpdf_service.bench.build_changes import differences, from_scratch
 from gpdf_service.config import PerceptionConfig
+from gpdf_service.ground.obstacles import obstacles_of
 from gpdf_service.perception.levels import survey_levels
-from gpdf_service.perception.obstacles import obstacles_of
 from gpdf_service.types import AGENTS
 
 HUMAN, SPACING, NOTHING = AGENTS["human"], 0.025, np.zeros((0, 3))

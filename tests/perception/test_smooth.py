@@ -6,9 +6,9 @@ from scipy import ndimage
 
 import gpdf_service as gpdf
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.perception import survey_levels
+from gpdf_service.ground.limits import step_and_slope
 from gpdf_service.perception.holes import fill_holes
-from gpdf_service.perception.limits import step_and_slope
+from gpdf_service.perception.levels import survey_levels
 from gpdf_service.perception.smooth import to_centres, with_rims
 from gpdf_service.tiles.surface import OBSERVED, UNKNOWN, HeightMap, nearest_seen
 from gpdf_service.tiles.told import new_grid

@@ -5,7 +5,7 @@ import pytest
 
 from gpdf_service import Status, build_scene, plan, read_cloud, segment_ground
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.perception.footing import bridged
+from gpdf_service.ground.footing import bridged
 from gpdf_service.perception.segment import first_layers
 from gpdf_service.perception.strides import find_footing, find_stances
 from gpdf_service.tiles.surface import OBSERVED, HeightMap

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
-from gpdf_service.perception import ObstacleKind
+from gpdf_service.ground.limits import ObstacleKind
 from gpdf_service.planning import no_path
 from gpdf_service.planning.endpoints import find_endpoint
 from gpdf_service.planning.no_path import Cut, explain_no_path

@@ -6,7 +6,7 @@ from gpdf_client import Client, InvalidRequestError, UnknownSceneError
 from gpdf_schemas import Array, SceneReply, UpdateRequest, keys
 from mcap.records import Channel
 
-from gpdf_service.perception import ObstacleKind
+from gpdf_service.ground.limits import ObstacleKind
 from gpdf_service.ports import free_endpoint
 from gpdf_service.service import drawing
 from gpdf_service.service.record import records_of

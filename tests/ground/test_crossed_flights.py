@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gpdf_service.perception.footing import FLIGHT_RISE, ROUGH, crosses_flight, rings_of
-from gpdf_service.perception.strides import STRIDE
+from gpdf_service.ground.foot import STRIDE
+from gpdf_service.ground.footing import FLIGHT_RISE, ROUGH, crosses_flight, rings_of
 from gpdf_service.tiles.surface import OBSERVED, UNKNOWN, HeightMap
 
 WIDTH, RADIUS = 0.05, 0.25

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.perception.strides import SOLE, STRIDE
+from gpdf_service.ground.foot import SOLE, STRIDE
 from gpdf_service.tiles.boxes import highest_around, lowest_around, widened, window
 from gpdf_service.tiles.layers import HALF
 from gpdf_service.tiles.surface import UNKNOWN, Cells, HeightMap, cell_of, cropped, rise_around

@@ -6,11 +6,11 @@ from itertools import product
 import numpy as np
 import pytest
 
-from gpdf_service.perception import footing
-from gpdf_service.perception.footing import by_treads, footholds, footing_reach, is_tread, on_treads, rings_of
-from gpdf_service.perception.ground_level import GroundLevel
-from gpdf_service.perception.limits import ObstacleKind
-from gpdf_service.perception.obstacles import Scan, are_voxels, obstacles_felt, obstacles_of, obstacles_reach
+from gpdf_service.ground import footing
+from gpdf_service.ground.footing import by_treads, footholds, footing_reach, is_tread, on_treads, rings_of
+from gpdf_service.ground.level import GroundLevel
+from gpdf_service.ground.limits import ObstacleKind
+from gpdf_service.ground.obstacles import Scan, are_voxels, obstacles_felt, obstacles_of, obstacles_reach
 from gpdf_service.tiles.boxes import widened
 from gpdf_service.tiles.points import points_of
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, cropped

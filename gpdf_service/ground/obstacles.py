@@ -10,12 +10,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_chunked, run_parallel
+from gpdf_service.ground.foot import FACE, LEAST_OBSTACLE, SOLE, STRIDE, astray
+from gpdf_service.ground.footing import ROUGH, by_treads, ends_around, footing_reach, is_tread, on_treads, rings_of
+from gpdf_service.ground.level import GroundLevel
+from gpdf_service.ground.limits import GroundLimits, ObstacleKind
 from gpdf_service.kernel_cache import lean
-from gpdf_service.perception.footing import ROUGH, by_treads, ends_around, footing_reach, is_tread, on_treads, rings_of
-from gpdf_service.perception.ground_level import GroundLevel
-from gpdf_service.perception.ledges import FACE, LEAST_OBSTACLE, astray
-from gpdf_service.perception.limits import GroundLimits, ObstacleKind
-from gpdf_service.perception.strides import SOLE, STRIDE
 from gpdf_service.tiles.boxes import widened
 from gpdf_service.tiles.nearest import nearest_of
 from gpdf_service.tiles.points import Points

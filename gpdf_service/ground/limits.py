@@ -13,9 +13,9 @@ from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.ground.foot import HALF_FOOT, SECTORS, STRIDE, sector_of
+from gpdf_service.ground.footing import ROUGH, flights
 from gpdf_service.kernel_cache import lean
-from gpdf_service.perception.footing import ROUGH, flights
-from gpdf_service.perception.strides import HALF_FOOT, SECTORS, STRIDE, sector_of
 from gpdf_service.tiles.boxes import span
 from gpdf_service.tiles.surface import UNKNOWN, Cells, HeightMap
 from gpdf_service.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray

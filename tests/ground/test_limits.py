@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from gpdf_service.perception.footing import ridges, ridges_reach
-from gpdf_service.perception.limits import (
+from gpdf_service.ground.foot import sector_of
+from gpdf_service.ground.footing import ridges, ridges_reach
+from gpdf_service.ground.limits import (
     ObstacleKind,
     _is_narrow_tread,
     find_limits,
@@ -16,7 +17,6 @@ from gpdf_service.perception.limits import (
     neighbourhood,
     step_and_slope,
 )
-from gpdf_service.perception.strides import sector_of
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
 
 FOOT, LEAST_STEP, STANDABLE, STRIDE, SECTORS = 0.1, 0.01, 0.524, 0.4, 16

@@ -5,10 +5,10 @@ from scipy import ndimage
 from gpdf_service import build_scene
 from gpdf_service.bench.build_changes import differences, from_scratch
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.perception.footing import on_treads
+from gpdf_service.ground.footing import on_treads
+from gpdf_service.ground.limits import ObstacleKind
+from gpdf_service.ground.obstacles import are_voxels, highest_within, obstacles_of
 from gpdf_service.perception.levels import survey_levels
-from gpdf_service.perception.limits import ObstacleKind
-from gpdf_service.perception.obstacles import are_voxels, highest_within, obstacles_of
 from gpdf_service.synthetic.solids import turn_and_shift
 from gpdf_service.tiles.points import points_of
 from gpdf_service.tiles.surface import OBSERVED, UNKNOWN, HeightMap
