@@ -94,9 +94,8 @@ def go_at_once(
         bending: How it is bent.
         pace: How fast it is followed.
     """
-    about, ends, inferred = here[0]
+    about = here[0].about
     discs, spacing, height = bending.discs, bending.spacing, bending.wants.height
-    ground, field = about.ground, bent_by[0][1]
     bent, run = bend_on(path, here, bent_by, bending)
     is_bent = len(run.xi) > 0
     if len(bent) == 0 or not is_bent:
@@ -106,11 +105,11 @@ def go_at_once(
         most, highest = way_steps(path, about)
         if stepped > most + MORE_STEPS or high > highest + MORE_STEPS:
             bent, is_bent = path, False
-    contact, top, headings = stand_along(bent, 0.0, spacing[1], ground, ends, field, height)
+    contact, top, headings = stand_along(bent, 0.0, spacing[1], here, bent_by, height)
     body = discs.offsets, about.reach, pace.radius, height
-    seen = prove(about.places, contact, top, headings, body, (ground, inferred, about.steps, about.slopes, field))
+    seen = prove(here, bent_by, contact, top, headings, body)
     share, takes = np.ones(len(contact)), np.zeros(6)
-    walk(about, contact, headings, discs.offsets, pace.preferred, pace.radius, share, takes)
+    walk(here, contact, headings, discs.offsets, pace.preferred, pace.radius, share, takes)
     top[:, :2], top[:, 2] = contact[:, :2], contact[:, 2] + height
     times, headings = time_along(top, share * pace.speed, pace.speed, pace.acceleration, pace.turn_rate)
     return Made(run, is_bent, contact, top, seen, takes, times, headings)

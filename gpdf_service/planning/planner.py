@@ -409,9 +409,8 @@ def _stand(
     agent, contacts, tops, levels, headings = space.agent, [], [], [], []
     lever = float(agent.offsets[-1])
     for i, (level, path, _) in enumerate(legs):
-        surface, field = space.surfaces[level], space.ground_fields[level]
-        below = surface.arrays, surface.ends, field.arrays
-        contact, top, heading = stand_along(path, lever, spacing, *below, agent.height)
+        on_level = here(space, level), fields_of(space, level)
+        contact, top, heading = stand_along(path, lever, spacing, *on_level, agent.height)
         on = np.full(len(heading), level)
         if len(legs) == agent.discs == 1:
             return contact, top, on, heading
