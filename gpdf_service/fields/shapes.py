@@ -23,7 +23,7 @@ TURNS = 6
 """Assignments of points to two planes: after five, few points change sides."""
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def gather(tree: Tree, x: FloatArray, radius: float, near: FloatArray, look: Look) -> int:
     """Write the offsets of the points within `radius` [m] of x into `near`, shape (MOST, 3); how many there are."""
     found, limit = 0, radius * radius
@@ -32,7 +32,8 @@ def gather(tree: Tree, x: FloatArray, radius: float, near: FloatArray, look: Loo
         leaf, top = next_leaf(tree.boxes, place, place, limit, look.walk, top)
         if leaf < 0:
             break
-        for j in look.row[: min(rows_within(tree, leaf, place, limit, look), MOST - found)]:
+        for i in range(min(rows_within(tree, leaf, place, limit, look), MOST - found)):
+            j = look.row[i]
             near[found, 0], near[found, 1], near[found, 2] = look.offset[0, j], look.offset[1, j], look.offset[2, j]
             found += 1
     return found
@@ -62,7 +63,7 @@ def ring_of(square: float, radii: FloatArray) -> int:
     return ring
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def sum_rings(tree: Tree, x: FloatArray, radii: FloatArray, moments: FloatArray, look: Look) -> None:
     """Sums over the neighbours within each radius, shape (scales, 10): 1, the offset from x and its products."""
     limit, moments[:] = radii[-1] ** 2, 0.0
@@ -71,10 +72,12 @@ def sum_rings(tree: Tree, x: FloatArray, radii: FloatArray, moments: FloatArray,
         leaf, top = next_leaf(tree.boxes, place, place, limit, look.walk, top)
         if leaf < 0:
             break
-        for j in look.row[: rows_within(tree, leaf, place, limit, look)]:
+        for i in range(rows_within(tree, leaf, place, limit, look)):
+            j = look.row[i]
             add(moments[ring_of(look.square[j], radii)], look.offset[0, j], look.offset[1, j], look.offset[2, j])
     for ring in range(1, len(radii)):
-        moments[ring] += moments[ring - 1]
+        for k in range(moments.shape[1]):
+            moments[ring, k] += moments[ring - 1, k]
 
 
 @lean()

@@ -28,10 +28,10 @@ from gpdf_service.fields.tree import (
     Scratch,
     Tree,
     from_root,
-    larger,
     lesser,
     make_scratch,
     next_leaf,
+    write_apart,
 )
 from gpdf_service.kernel_cache import lean
 from gpdf_service.types import FloatArray, IntArray
@@ -114,11 +114,7 @@ def sums_around(field: FieldArrays, x: Place, delta: float, scratch: Scratch) ->
         top -= 1
         node = stack[top]
         if node < nodes:
-            for k in range(FANOUT):
-                a = larger(larger(boxes[node, 0, k] - x0, x0 - boxes[node, 3, k]), 0.0)
-                b = larger(larger(boxes[node, 1, k] - x1, x1 - boxes[node, 4, k]), 0.0)
-                c = larger(larger(boxes[node, 2, k] - x2, x2 - boxes[node, 5, k]), 0.0)
-                near[k] = a * a + b * b + c * c
+            write_apart(boxes, node, x, x, near)
             for k in range(FANOUT):
                 stack[top] = FANOUT * node + 1 + k
                 top += near[k] <= limit  # where there is no child it is inf

@@ -276,6 +276,26 @@ def larger(a: float, b: float) -> float:
     return a if a > b else b
 
 
+_Y, _Z, _HIGH = np.uint64(FANOUT), np.uint64(2 * FANOUT), np.uint64(3 * FANOUT)
+"""Numbers from a child's least x to its least y, least z and largest x: unsigned, for these are never behind an end."""
+
+
+@njit(cache=True, nogil=True, fastmath=VECTORS, inline="always")
+def write_apart(boxes: FloatArray, node: int, low: Place, high: Place, near: FloatArray) -> None:
+    """Write squared distances of a node's children from the box between `low` and `high` [m²].
+
+    A loop whose length is not known, over numbers that are all told by one, becomes vectors.
+    """
+    first = np.uint64(2) * _HIGH * np.uint64(node)
+    for k in range(len(near)):
+        x = first + np.uint64(k)
+        y, z = x + _Y, x + _Z
+        a = larger(larger(boxes[0, 0, x] - high[0], low[0] - boxes[0, 0, x + _HIGH]), 0.0)
+        b = larger(larger(boxes[0, 0, y] - high[1], low[1] - boxes[0, 0, y + _HIGH]), 0.0)
+        c = larger(larger(boxes[0, 0, z] - high[2], low[2] - boxes[0, 0, z + _HIGH]), 0.0)
+        near[k] = a * a + b * b + c * c
+
+
 @lean(fastmath=VECTORS)
 def next_leaf(boxes: FloatArray, low: Place, high: Place, limit: float, scratch: Scratch, top: int) -> tuple[int, int]:
     """One step of a walk, nearest first: the next leaf within √`limit` of the box from `low` to `high`.
@@ -295,11 +315,7 @@ def next_leaf(boxes: FloatArray, low: Place, high: Place, limit: float, scratch:
             continue
         if node >= nodes:
             return node - nodes, top
-        for k in range(FANOUT):
-            a = larger(larger(boxes[node, 0, k] - high[0], low[0] - boxes[node, 3, k]), 0.0)
-            b = larger(larger(boxes[node, 1, k] - high[1], low[1] - boxes[node, 4, k]), 0.0)
-            c = larger(larger(boxes[node, 2, k] - high[2], low[2] - boxes[node, 5, k]), 0.0)
-            near[k] = a * a + b * b + c * c
+        write_apart(boxes, node, low, high, near)
         base = top
         for k in range(FANOUT):
             distance2 = near[k]

@@ -69,6 +69,15 @@ class Made(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
+def bend_on(
+    path: FloatArray, here: Sequence[Here], bent_by: Sequence[Fields], bending: Bending
+) -> tuple[FloatArray, ChompResult]:
+    """`chomp.bend` on a level of a space."""
+    (about, ends, _), (discs, wants, spacing, looks, stop) = here[0], bending
+    return bend(path, about.ground, ends, bent_by[0], discs, wants, spacing, looks, stop)
+
+
+@njit(cache=True, nogil=True)
 def go_at_once(
     path: FloatArray,
     here: Sequence[Here],
@@ -85,23 +94,22 @@ def go_at_once(
         bending: How it is bent.
         pace: How fast it is followed.
     """
-    (about, ends, inferred), fields = here[0], bent_by[0]
-    discs, wants, spacing, looks, stop = bending
-    ground, field, height = about.ground, fields[1], wants.height
-    bent, run = bend(path, ground, ends, fields, discs, wants, spacing, looks, stop)
+    about = here[0].about
+    discs, spacing, height = bending.discs, bending.spacing, bending.wants.height
+    bent, run = bend_on(path, here, bent_by, bending)
     is_bent = len(run.xi) > 0
     if len(bent) == 0 or not is_bent:
         bent = path
-    stepped, high = way_steps(bent, ground, about.steps, about.slopes, about.glad_step)
+    stepped, high = way_steps(bent, about)
     if stepped > 0.0:
-        most, highest = way_steps(path, ground, about.steps, about.slopes, about.glad_step)
+        most, highest = way_steps(path, about)
         if stepped > most + MORE_STEPS or high > highest + MORE_STEPS:
             bent, is_bent = path, False
-    contact, top, headings = stand_along(bent, 0.0, spacing[1], ground, ends, field, height)
+    contact, top, headings = stand_along(bent, 0.0, spacing[1], here, bent_by, height)
     body = discs.offsets, about.reach, pace.radius, height
-    seen = prove(about.places, contact, top, headings, body, (ground, inferred, about.steps, about.slopes, field))
+    seen = prove(here, bent_by, contact, top, headings, body)
     share, takes = np.ones(len(contact)), np.zeros(6)
-    walk(about, contact, headings, discs.offsets, pace.preferred, pace.radius, share, takes)
+    walk(here, contact, headings, discs.offsets, pace.preferred, pace.radius, share, takes)
     top[:, :2], top[:, 2] = contact[:, :2], contact[:, 2] + height
     times, headings = time_along(top, share * pace.speed, pace.speed, pace.acceleration, pace.turn_rate)
     return Made(run, is_bent, contact, top, seen, takes, times, headings)

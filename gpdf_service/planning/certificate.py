@@ -8,6 +8,7 @@ Pieces that could hold the path's minimum are halved until it is known to `RESOL
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +26,7 @@ from gpdf_service.planning.shape import runs
 from gpdf_service.planning.words import measure, place_words
 from gpdf_service.search import FreeSpace
 from gpdf_service.search.motion import least_distance
-from gpdf_service.search.places import Places
+from gpdf_service.search.ways import Fields, Here, fields_of, here
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, Cells, cell_of, count_in, is_known
 from gpdf_service.types import BoolArray, Certificate, FloatArray, IntArray
 
@@ -88,9 +89,8 @@ def certify(
     headings = travel_headings(ground) if headings is None else headings
     agent, seen = space.agent, None
     for part, on in runs(level):
-        surface, body = space.surfaces[on], (agent.offsets, space.reach, agent.radius, agent.height)
-        known = surface.arrays, surface.inferred, space.steps[on], space.slopes[on], space.ground_fields[on].arrays
-        more = prove(space.trees[on], ground[part], positions[part], headings[part], body, known)
+        body = agent.offsets, space.reach, agent.radius, agent.height
+        more = prove(here(space, on), fields_of(space, on), ground[part], positions[part], headings[part], body)
         seen = more if seen is None else _both(seen, more)
     assert seen is not None
     return judge(space, ground, seen, hidden_height)
@@ -141,15 +141,16 @@ def _both(one: Seen, other: Seen) -> Seen:
 
 @njit(cache=True, nogil=True)
 def prove(
-    obstacles: Places,
+    here: Sequence[Here],
+    fields: Sequence[Fields],
     path: FloatArray,
     tops: FloatArray,
     headings: FloatArray,
     body: tuple[FloatArray, float, float, float],
-    known: tuple[Cells, NDArray[np.int32], FloatArray, FloatArray, FieldArrays],
 ) -> Seen:
     """What is proven of a piece: its least distance, and its ground and its tops, looked at as `SAMPLE` says."""
-    (offsets, reach, radius, height), (ground, inferred, steps, slopes, field) = body, known
+    (offsets, reach, radius, height), (about, _, inferred), (_, field) = body, here[0], fields[0]
+    obstacles, ground = about.places, about.ground
     poses, where, off_at, nearest = path.copy(), path[0].copy(), path[0].copy(), np.inf
     poses[:, 2] = headings
     least, at = least_distance(obstacles, poses, offsets, RESOLUTION)
@@ -160,7 +161,7 @@ def prove(
         if far2 < nearest:
             nearest, where[2] = far2, path[i, 2]
     where[:2] = at
-    own = ground, steps, slopes, field, make_scratch(), np.empty(3), off_at
+    own = ground, about.steps, about.slopes, field, make_scratch(), np.empty(3), off_at
     unknown, deviation, step, slope = _look_along(path, tops, headings, offsets, height, *own)
     spacing = _coarsest_spacing(path, radius, ground, inferred)
     return Seen(least - reach, where, unknown, deviation, off_at, step, slope, spacing)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import atan2, pi, sqrt
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from gpdf_service.fields import FieldArrays
 from gpdf_service.planning.shape import stand_on, subdivide
-from gpdf_service.tiles.surface import Cells
+from gpdf_service.search.ways import Fields, Here
 from gpdf_service.types import BoolArray, FloatArray
 
 STILL = 1e-9
@@ -78,9 +77,8 @@ def stand_along(
     path: FloatArray,
     lever: float,
     spacing: float,
-    ground: Cells,
-    ends: NDArray[np.float32],
-    field: FieldArrays,
+    here: Sequence[Here],
+    fields: Sequence[Fields],
     height: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Contact points and tops, (n, 3), of who goes along a path, see `stand_up`, and where he faces (n,).
@@ -89,5 +87,6 @@ def stand_along(
     """
     poses = face(path, lever, spacing)
     poses = poses[moving(poses, poses[:, 2], lever)]
-    contact, top = stand_on(poses, ground, ends, field, height)
+    (about, ends, _), (_, field) = here[0], fields[0]
+    contact, top = stand_on(poses, about.ground, ends, field, height)
     return contact, top, poses[:, 2].copy()

@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from gpdf_service.config import PlanningConfig
-from gpdf_service.planning.at_once import MORE_STEPS, Bending, Pace, go_at_once
+from gpdf_service.planning.at_once import MORE_STEPS, Bending, Pace, bend_on, go_at_once
 from gpdf_service.planning.certificate import certify, judge
-from gpdf_service.planning.chomp import ChompResult, Stop, Wants, bend
+from gpdf_service.planning.chomp import ChompResult, Stop, Wants
 from gpdf_service.planning.costs import Discs
 from gpdf_service.planning.endpoints import Ends, Refusal, find_ends
 from gpdf_service.planning.footprint import moving, stand_along
@@ -363,10 +363,8 @@ def _beside_each_other(legs: list[Leg], via: list[FloatArray]) -> list[list[Leg]
 def _bend(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> Bent:
     """A piece of the path after CHOMP; as it was where nothing moves, no time is left, or ground is not known."""
     level, path, space = leg
-    surface, ground = space.surfaces[level], space.ground_fields[level].arrays
-    obstacles = space.exact_fields[level] if strict else space.obstacle_fields[level].arrays
-    how = (obstacles, ground), *_bending(leg, config, strict, seconds)
-    bent, found = bend(path, surface.arrays, surface.ends, *how)
+    bending = _bending(leg, config, strict, seconds)
+    bent, found = bend_on(path, here(space, level), fields_of(space, level, exact=strict), bending)
     if len(found.xi) == 0:
         return leg, None
     return (leg if len(bent) == 0 else leg._replace(path=bent)), found
@@ -411,9 +409,8 @@ def _stand(
     agent, contacts, tops, levels, headings = space.agent, [], [], [], []
     lever = float(agent.offsets[-1])
     for i, (level, path, _) in enumerate(legs):
-        surface, field = space.surfaces[level], space.ground_fields[level]
-        below = surface.arrays, surface.ends, field.arrays
-        contact, top, heading = stand_along(path, lever, spacing, *below, agent.height)
+        on_level = here(space, level), fields_of(space, level)
+        contact, top, heading = stand_along(path, lever, spacing, *on_level, agent.height)
         on = np.full(len(heading), level)
         if len(legs) == agent.discs == 1:
             return contact, top, on, heading

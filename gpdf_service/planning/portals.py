@@ -7,16 +7,18 @@ what comes after it, as if there were one level (Schwarz 1870: domains that over
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numba import njit
 
-from gpdf_service.fields.tree import make_scratch
+from gpdf_service.fields.tree import Scratch, make_scratch
+from gpdf_service.kernel_cache import lean
 from gpdf_service.planning.chomp import ChompResult
-from gpdf_service.planning.routes import Leg, steps_of
+from gpdf_service.planning.routes import Leg
 from gpdf_service.planning.shape import distinct, is_straight, subdivide
 from gpdf_service.search.places import Places
+from gpdf_service.search.ways import Here, here, way_steps
 from gpdf_service.tiles.surface import Cells, height_of
 from gpdf_service.types import FloatArray
 
@@ -43,8 +45,7 @@ def pull_over(legs: list[Leg], meet: Meet, spacing: float) -> list[Leg]:
     for i in [*range(len(legs) - 1)] * PULLS:
         one, other = pulled[i], pulled[i + 1]
         straight = _straight_over(one, other, spacing) if meet(one, other) else []
-        if straight and (steps_of(straight) <= steps_of([one, other]) + SAME_GROUND).all():
-            pulled[i : i + 2] = straight
+        pulled[i : i + 2] = straight or [one, other]
     return pulled
 
 
@@ -89,15 +90,44 @@ def _round_off(made: list[Bent], i: int, spacing: float, bend: Callable[[list[Le
 
 
 def _straight_over(one: Leg, other: Leg, spacing: float) -> list[Leg]:
-    """Two pieces that meet on the straight line from the corner before to the one after; nothing if it is not clear."""
-    space, line = one.space, subdivide(np.stack([one.path[-2], other.path[1]]), spacing)
-    grounds = space.surfaces[one.level].arrays, space.surfaces[other.level].arrays
-    at = _crossing(line, *grounds, space.trees[one.level], space.trees[other.level], space.radius)
+    """Two pieces that meet on the straight line from the corner before to the one after.
+
+    Nothing if that is not clear, or takes more steps.
+    """
+    space = one.space
+    grounds = here(space, one.level), here(space, other.level), here(other.space, other.level)
+    paths = _pass_over(one.path, other.path, *grounds, (spacing, space.radius))
+    return [leg._replace(path=path) for leg, path in zip((one, other), paths, strict=True) if len(path)]
+
+
+@njit(cache=True, nogil=True)
+def _pass_over(
+    path: FloatArray,
+    after: FloatArray,
+    here: Sequence[Here],
+    there: Sequence[Here],
+    beyond: Sequence[Here],
+    measures: tuple[float, float],
+) -> tuple[FloatArray, FloatArray]:
+    """See `_straight_over`; no places if there is no such line.
+
+    Both levels are given as the first piece's space has them, and the second one as its own space sees steps there: box
+    by box, for Numba takes long to tell what a tuple of boxes is. The measures are spacing and radius [m].
+    """
+    one, other, steps, (spacing, radius) = here[0].about, there[0].about, beyond[0].about, measures
+    line = np.empty((2, 2))
+    line[0], line[1] = path[-2], after[1]
+    line = subdivide(line, spacing)
+    at = _crossing(line, one.ground, other.ground, one.places, other.places, radius)
     if at < 0:
-        return []
-    here = line[at : at + 1]
-    paths = np.concatenate([one.path[:-1], here]), np.concatenate([here, other.path[1:]])
-    return [leg._replace(path=path) for leg, path in zip((one, other), paths, strict=True)]
+        return path[:0], after[:0]
+    straight, rest = path.copy(), after.copy()
+    straight[-1], rest[0] = line[at], line[at]
+    for k in range(2):
+        taken = way_steps(straight, one)[k] + way_steps(rest, steps)[k]
+        if taken > way_steps(path, one)[k] + way_steps(after, steps)[k] + SAME_GROUND:
+            return path[:0], after[:0]
+    return straight, rest
 
 
 @njit(cache=True, nogil=True)
@@ -120,33 +150,54 @@ def _crossing(line: FloatArray, ground: Cells, other: Cells, obstacles: Places, 
 
 def _go_on(leg: Leg, after: Leg, spacing: float) -> tuple[Leg, Leg]:
     """A piece that goes on into the next one as far as its level holds the ground there, and that from there on."""
-    ahead = subdivide(after.path, spacing)
-    last = max(min(_count_held(ahead, after, leg.level), len(ahead) - 1) - 1, 0)
-    long = distinct(np.concatenate([leg.path, ahead[1 : last + 1]]))
-    return leg._replace(path=long), after._replace(path=ahead[last:])
+    space = after.space
+    own, other = here(space, after.level), here(space, leg.level)
+    long, rest = _longer(leg.path, after.path, own, other, spacing, space.radius)
+    return leg._replace(path=long), after._replace(path=rest)
+
+
+@njit(cache=True, nogil=True)
+def _longer(
+    path: FloatArray, after: FloatArray, own: Sequence[Here], other: Sequence[Here], spacing: float, radius: float
+) -> tuple[FloatArray, FloatArray]:
+    """See `_go_on`: the next piece is on its `own` level, the one that goes on is on the `other` one."""
+    ahead = subdivide(after, spacing)
+    last = max(min(_count_held(ahead, own, other, radius), len(ahead) - 1) - 1, 0)
+    return distinct(np.concatenate((path, ahead[1 : last + 1]))), ahead[last:]
 
 
 def _part(bent: Bent, after: Leg) -> tuple[Bent, Leg]:
     """A bent piece up to the middle of its end that both levels hold, and the next one with its rest before it."""
     leg, run = bent
-    cut = len(leg.path) - 1 - max(_count_held(leg.path[::-1], leg, after.level) - 1, 0) // 2
-    rest = distinct(np.concatenate([leg.path[cut:], after.path[1:]]))
-    return (leg._replace(path=leg.path[: cut + 1]), run), after._replace(path=rest)
-
-
-def _count_held(path: FloatArray, own: Leg, level: int) -> int:
-    """How many rows of a path (n, 2) of a leg, from the first one on, another `level` holds, too.
-
-    The ground is known there and as high, and the way from row to row is clear by the body's radius.
-    """
-    space = own.space
-    grounds = space.surfaces[own.level].arrays, space.surfaces[level].arrays
-    return int(_count_on_both(np.ascontiguousarray(path), *grounds, space.trees[level], space.radius))
+    space = leg.space
+    path, rest = _cut(leg.path, after.path, here(space, leg.level), here(space, after.level), space.radius)
+    return (leg._replace(path=path), run), after._replace(path=rest)
 
 
 @njit(cache=True, nogil=True)
-def _count_on_both(path: FloatArray, own: Cells, other: Cells, obstacles: Places, radius: float) -> int:
-    scratch = make_scratch()
+def _cut(
+    path: FloatArray, after: FloatArray, own: Sequence[Here], other: Sequence[Here], radius: float
+) -> tuple[FloatArray, FloatArray]:
+    """See `_part`: the bent piece is on its `own` level, the next one is on the `other` one."""
+    back = np.ascontiguousarray(path[::-1])
+    cut = len(path) - 1 - max(_count_held(back, own, other, radius) - 1, 0) // 2
+    return path[: cut + 1], distinct(np.concatenate((path[cut:], after[1:])))
+
+
+@njit(cache=True, nogil=True)
+def _count_held(path: FloatArray, own: Sequence[Here], other: Sequence[Here], radius: float) -> int:
+    """How many rows of a path (n, 2) on its `own` level, from the first one on, the `other` one holds, too.
+
+    The ground is known there and as high, and the way from row to row is clear by the body's radius.
+    """
+    beyond = other[0].about
+    return _count_on_both(path, own[0].about.ground, beyond.ground, beyond.places, radius, make_scratch())
+
+
+@lean()
+def _count_on_both(
+    path: FloatArray, own: Cells, other: Cells, obstacles: Places, radius: float, scratch: Scratch
+) -> int:
     for i in range(len(path)):
         x, y = path[i, 0], path[i, 1]
         if not abs(height_of(own, x, y) - height_of(other, x, y)) <= SAME_GROUND:  # a NaN compares false

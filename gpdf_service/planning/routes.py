@@ -43,8 +43,8 @@ from gpdf_service.search.ways import (
     beside,
     here,
     least_takes,
+    steps_on,
     straight_takes,
-    way_steps,
     way_takes,
 )
 from gpdf_service.tiles.surface import Cells
@@ -168,8 +168,7 @@ def steps_of(legs: list[Leg]) -> FloatArray:
     """Rise and fall of a way in steps, and in high ones (2,) [m]."""
     taken = np.zeros(2)
     for level, path, space in legs:
-        ground = space.surfaces[level].arrays, space.steps[level], space.slopes[level]
-        taken += way_steps(path, *ground, space.agent.comfortable_step)
+        taken += steps_on(path, here(space, level))
     return taken
 
 

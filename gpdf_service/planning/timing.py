@@ -8,6 +8,8 @@ where the body then is.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numba import njit
 
@@ -19,7 +21,7 @@ from gpdf_service.planning.shape import SAME, lengths, runs
 from gpdf_service.search import FreeSpace, Prefer
 from gpdf_service.search.places import nearest_of
 from gpdf_service.search.steps import is_stepped
-from gpdf_service.search.ways import CARE, LENGTH, TIGHT, UNSEEN, Beside, beside, least_takes
+from gpdf_service.search.ways import CARE, LENGTH, TIGHT, UNSEEN, Beside, Here, here, least_takes
 from gpdf_service.types import Agent, FloatArray, IntArray
 
 STANDING = 1e-3
@@ -103,14 +105,14 @@ def speed_limit(
     share, takes = np.ones(len(contact)), np.zeros(6)
     for part, on in runs(level):
         body = agent.offsets, preferred, agent.radius
-        walk(beside(space, on, prefer), contact[part], headings[part], *body, share[part], takes)
+        walk(here(space, on, prefer), contact[part], headings[part], *body, share[part], takes)
     share *= agent.speed
     return share, takes
 
 
 @njit(cache=True, nogil=True)
 def walk(
-    about: Beside,
+    here: Sequence[Here],
     contact: FloatArray,
     headings: FloatArray,
     offsets: FloatArray,
@@ -120,7 +122,7 @@ def walk(
     takes: FloatArray,
 ) -> None:
     """Lower the `share` of the speed where one of the discs asks for care; add to what the way takes."""
-    tight, unseen = np.zeros(len(contact)), np.zeros(len(contact))
+    about, tight, unseen = here[0].about, np.zeros(len(contact)), np.zeros(len(contact))
     _take_care(about, contact, headings, offsets, preferred, radius, make_scratch(), (share, tight, unseen))
     ground = least_takes(contact, about)
     for i in range(len(ground)):

@@ -18,7 +18,7 @@ from gpdf_service.fields.tree import make_scratch
 from gpdf_service.kernel_cache import lean
 from gpdf_service.search.landmarks import NO_LANDMARKS, Landmarks, at_least, bounds_to
 from gpdf_service.search.layered import Rows, below
-from gpdf_service.search.motion import is_clear
+from gpdf_service.search.motion import is_straight_clear
 from gpdf_service.search.places import Places
 from gpdf_service.search.quadtree import Quadtree
 from gpdf_service.search.resplit import Leaves, centers
@@ -86,11 +86,12 @@ def _proven(
     Of the two leaves of an edge, `center` (e, 2, 2) and `room` (e, 2): how far a place may be from the leaf's centre
     and still be clear [m], inf where all of it is: a wholly free leaf is convex.
     """
+    scratch = make_scratch()
     for e in range(len(via)):
         good[e] = True
         for k in range(2):
             far = sqrt((via[e, 0] - center[e, k, 0]) ** 2 + (via[e, 1] - center[e, k, 1]) ** 2)
-            good[e] &= room[e, k] >= far or is_clear(obstacles, center[e, k], via[e], radius)
+            good[e] &= room[e, k] >= far or is_straight_clear(obstacles, center[e, k], via[e], radius, scratch)
 
 
 Edges = tuple[IntArray, FloatArray]

@@ -135,11 +135,13 @@ def here(space: FreeSpace, level: int, prefer: Prefer = Prefer.COMPANION) -> Seq
     return box
 
 
-def fields_of(space: FreeSpace, level: int) -> Sequence[Fields]:
-    """What a path on a level is bent by, in a box that the space keeps."""
-    if (Fields, level) not in space.boxes:
-        space.boxes[Fields, level] = boxed((space.obstacle_fields[level].arrays, space.ground_fields[level].arrays))
-    box: Sequence[Fields] = space.boxes[Fields, level]
+def fields_of(space: FreeSpace, level: int, *, exact: bool = False) -> Sequence[Fields]:
+    """What a path on a level is bent by, or by the `exact` places of obstacles, in a box that the space keeps."""
+    key = Fields, level, exact
+    if key not in space.boxes:
+        obstacles = space.exact_fields[level] if exact else space.obstacle_fields[level].arrays
+        space.boxes[key] = boxed((obstacles, space.ground_fields[level].arrays))
+    box: Sequence[Fields] = space.boxes[key]
     return box
 
 
@@ -243,15 +245,19 @@ def _ground_takes(a: tuple[float, float], b: tuple[float, float], on: _Ground) -
     return length, sloped, stepped, ledge
 
 
+@njit(cache=True, nogil=True)
+def steps_on(path: FloatArray, here: Sequence[Here]) -> tuple[float, float]:
+    """`way_steps` on a level of a space."""
+    return way_steps(path, here[0].about)
+
+
 @lean()
-def way_steps(
-    path: FloatArray, ground: Cells, steps: FloatArray, slopes: FloatArray, glad_step: float
-) -> tuple[float, float]:
+def way_steps(path: FloatArray, about: Beside) -> tuple[float, float]:
     """Rise and fall in steps, and in high ones, of a way in plan, shape (n, ≥ 2) [m]."""
     stepped, high = 0.0, 0.0
     for i in range(len(path) - 1):
         a, b = (path[i, 0], path[i, 1]), (path[i + 1, 0], path[i + 1, 1])
-        _, _, more, higher = _ground_takes(a, b, (ground, steps, slopes, glad_step))
+        _, _, more, higher = _ground_takes(a, b, _ground_of(about))
         stepped, high = stepped + more, high + higher
     return stepped, high
 

@@ -6,8 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from gpdf_service.fields.tree import longer
+from gpdf_service.kernel_cache import lean
 from gpdf_service.tiles.rows import INDEX
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -30,10 +32,28 @@ class Columns(NamedTuple):
 @njit(cache=True, nogil=True)
 def pairs_at(columns: Columns, keep: BoolArray, most: float, offset: tuple[int, int]) -> tuple[IntArray, IntArray]:
     """Pairs of kept nodes (a, b), b's cell at the `offset` from a's, whose heights differ by `most` [m] at most."""
-    (cell, start, (nx, ny), height, _), (dx, dy) = columns, offset
-    capacity, used, x = len(cell) + 16, 0, 0
-    one, other = np.empty(capacity, INDEX), np.empty(capacity, INDEX)
-    for a in range(len(cell)):
+    a = used = 0
+    one, other = np.empty(len(columns.cell) + 16, INDEX), np.empty(len(columns.cell) + 16, INDEX)
+    while True:
+        a, used = _write_pairs(columns, keep, most, offset, (a, used), (one, other))
+        if a == len(columns.cell):
+            return one[:used], other[:used]
+        one, other = longer(one, 2 * len(one)), longer(other, 2 * len(other))
+
+
+@lean()
+def _write_pairs(
+    columns: Columns,
+    keep: BoolArray,
+    most: float,
+    offset: tuple[int, int],
+    begun: tuple[int, int],
+    made: tuple[NDArray[np.int32], NDArray[np.int32]],
+) -> tuple[int, int]:
+    """Go on with `pairs_at` from a node, with so many pairs made, as long as there is room: both numbers after that."""
+    (cell, start, (nx, ny), height, _), (dx, dy), (first, used), (one, other) = columns, offset, begun, made
+    x = 0
+    for a in range(first, len(cell)):
         if not keep[a]:
             continue
         while cell[a] >= (x + 1) * ny:
@@ -42,13 +62,12 @@ def pairs_at(columns: Columns, keep: BoolArray, most: float, offset: tuple[int, 
         if not (0 <= x + dx < nx and 0 <= y + dy < ny):
             continue
         begin, end = start[cell[a] + dx * ny + dy], start[cell[a] + dx * ny + dy + 1]
-        if used + end - begin > capacity:
-            capacity = 2 * capacity + end - begin
-            one, other = longer(one, capacity), longer(other, capacity)
+        if used + end - begin > len(one):
+            return a, used
         for b in range(begin, end):  # written, and kept or not: a guess would be wrong
             one[used], other[used] = a, b
             used += int(keep[b] & (abs(height[a] - height[b]) <= most))
-    return one[:used], other[:used]
+    return len(cell), used
 
 
 @njit(cache=True, nogil=True)

@@ -244,7 +244,7 @@ def _blocks(path: FloatArray, axis: int, reach: float, ground: Cells) -> tuple[i
     return int(min(max(low, 0.0), count)), int(min(max(high + 1.0, 0.0), count))
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def cell_of(ground: Cells, x: float, y: float) -> tuple[int, int]:
     """The cell of a place; (−1, −1) outside the grid, and for what is no place."""
     u, v = (x - ground.origin[0]) / ground.width, (y - ground.origin[1]) / ground.width
@@ -253,7 +253,7 @@ def cell_of(ground: Cells, x: float, y: float) -> tuple[int, int]:
     return int(u), int(v)
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def is_known(ground: Cells, x: float, y: float) -> bool:
     """Whether the ground is known under a place."""
     i, j = cell_of(ground, x, y)
@@ -268,7 +268,7 @@ def _height_at(ground: Cells, xy: FloatArray) -> FloatArray:
     return made
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def height_of(ground: Cells, x: float, y: float) -> float:
     """`HeightMap.height_at` of one place."""
     height, origin, width = ground.height, ground.origin, ground.width

@@ -273,6 +273,8 @@ def test_what_is_wrong_on_one_level_is_wrong_of_the_whole_way(floor, bad):
     base, zero = space.surfaces[0], np.zeros(space.surfaces[0].state.shape)
     nowhere = HeightMap(base.origin, base.cell_width, base.height, np.zeros_like(base.state))
     good = {"surfaces": base, "steps": zero, "slopes": zero, "trees": Places(build_tree(FAR))}
+    alike = "ground_fields", "obstacle_fields", "noticed", "standing", "moving"
+    same = {key: (one, one) for key, one in good.items()} | {key: 2 * getattr(space, key) for key in alike}
     wrong = {
         "surfaces": nowhere,
         "steps": zero + 0.9,
@@ -282,13 +284,11 @@ def test_what_is_wrong_on_one_level_is_wrong_of_the_whole_way(floor, bad):
     reasons = {"surfaces": "known ground", "steps": "step of 0.90", "slopes": "slope of 52°", "trees": "an obstacle"}
     top = path + np.array([0.0, 0.0, space.agent.height])
     for name, reason in reasons.items():
-        both = {key: (one, one) for key, one in good.items()} | {"ground_fields": 2 * space.ground_fields}
-        both[name] = (wrong[name], good[name]) if bad == 0 else (good[name], wrong[name])
-        found = certify(dataclasses.replace(space, **both), top, path, level)
+        both = (wrong[name], good[name]) if bad == 0 else (good[name], wrong[name])
+        found = certify(dataclasses.replace(space, **same | {name: both}), top, path, level)
         assert reason in found.reason, (name, found.reason)
         assert not found.holds
-    both = {key: (one, one) for key, one in good.items()} | {"ground_fields": 2 * space.ground_fields}
     off = np.where(level == bad, 0.1, 0.0)[:, None] * np.array([0.0, 0.0, 1.0])
-    found = certify(dataclasses.replace(space, **both), top + off, path, level)
+    found = certify(dataclasses.replace(space, **same), top + off, path, level)
     assert found.max_height_deviation == pytest.approx(0.1, abs=FLAT)
     assert found.ground_spacing == pytest.approx(base.cell_width)

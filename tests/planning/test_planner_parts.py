@@ -234,16 +234,16 @@ def test_strictly_bent_a_piece_keeps_the_margin_of_the_search(room):
 
 def test_strictly_there_is_a_wall_as_far_off_as_what_a_chord_cuts_from_a_turn(room, monkeypatch):
     space, asked = room.free_space("human"), []
-    bend = planner.bend
-    monkeypatch.setattr(planner, "bend", lambda *args: asked.append(args) or bend(*args))
+    bend = planner.bend_on
+    monkeypatch.setattr(planner, "bend_on", lambda *args: asked.append(args) or bend(*args))
     for strict in (False, True):
         planner._bend(two_legs(space)[0], CONFIG, strict, np.inf)
-    assert [fields[0].standing.weights.any() for _, _, _, fields, *_ in asked] == [True, False]  # the GPDF, the points
+    assert [bent_by[0][0].standing.weights.any() for _, _, bent_by, _ in asked] == [True, False]  # the GPDF, the points
     apart = max(CONFIG.waypoint_spacing, CONFIG.smoothness_weight(HUMAN.disc_radius))
-    soft, hard = (args[4].radius for args in asked)
+    soft, hard = (bending.discs.radius for *_, bending in asked)
     assert soft == space.reach
     assert hard == pytest.approx(space.radius + apart**2 / (8.0 * HUMAN.disc_radius))
-    wants = [args[5] for args in asked]
+    wants = [bending.wants for *_, bending in asked]
     assert [one.wall for one in wants] == [0.0, planner.WALL]
     assert wants[0].epsilon == CONFIG.preferred_clearance * HUMAN.disc_radius
     assert wants[0].height == HUMAN.height

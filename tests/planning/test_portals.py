@@ -1,7 +1,6 @@
 """A path over two levels has no corner where they meet: here one floor, of which each level holds a part."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -33,11 +32,9 @@ def space():
         height[~kept], state[~kept] = np.nan, UNKNOWN
         return replace(surface, height=height, state=state)
 
-    return SimpleNamespace(
-        surfaces=(only(x < HELD[1]), only(x > HELD[0])),
-        **{name: getattr(whole, name) * 2 for name in ("trees", "steps", "slopes")},
-        **{name: getattr(whole, name) for name in ("radius", "agent")},
-    )
+    names = "trees", "steps", "slopes", "noticed", "standing", "moving"
+    surfaces = only(x < HELD[1]), only(x > HELD[0])
+    return replace(whole, surfaces=surfaces, **{name: getattr(whole, name) * 2 for name in names})
 
 
 def legs_of(space, *paths):
@@ -98,9 +95,7 @@ def test_pieces_that_do_not_meet_at_a_portal_are_bent_each_by_itself(space):
 
 def test_where_the_levels_hold_no_same_ground_the_pieces_meet_where_they_met(space):
     lower = space.surfaces[0]
-    apart = SimpleNamespace(
-        **vars(space) | {"surfaces": (replace(lower, height=lower.height - 0.5), space.surfaces[1])}
-    )
+    apart = replace(space, surfaces=(replace(lower, height=lower.height - 0.5), space.surfaces[1]))
     bowed = legs_of(apart, [(0.6, 2.0), (2.5, 2.9)], [(2.5, 2.9), (4.4, 2.0)])
     assert pull_over(bowed, meet, SPACING) == bowed
     (one, _), (other, _) = bend_over([[leg] for leg in bowed], meet, SPACING, straight)

@@ -40,7 +40,7 @@ def test_a_space_keeps_a_box_for_each_level_and_preference_and_another_space_has
     box = here(space, 0)
     assert here(space, 0) is box
     assert here(space, 0, Prefer.WIDE) is not box
-    assert fields_of(space, 0) is space.boxes[Fields, 0]
+    assert fields_of(space, 0) is space.boxes[Fields, 0, False]
     other = replace(space, reach=space.reach + 0.1)
     assert here(other, 0)[0].about.reach == space.reach + 0.1
     assert here(space, 0)[0].about.reach == space.reach
