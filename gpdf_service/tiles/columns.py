@@ -374,20 +374,14 @@ def box_unlike(
     (first, last, begin, end), used = box, 0
     left, right, near, far = last, first, end, begin
     for row in range(max(cells[0], first * ny), min(cells[1], last * ny), ny):
-        a, by = was[row + begin] - was[cells[0]], start[row + begin] - was[row + begin]
-        other = was[row + end] - was[row + begin] != start[row + end] - start[row + begin]
-        for c in range(row + begin, row + end):  # no way out of either: so they are done in vectors
-            other |= start[c] - was[c] != by
-        for k in range(0 if other else start[row + end] - start[row + begin]):
-            other |= old[a + k] != fresh[used + k]
-        for c in range(row + begin, row + end if other else row + begin):
-            a, at, count = was[c] - was[cells[0]], used + start[c] - start[row + begin], start[c + 1] - start[c]
+        for c in range(row + begin, row + end):
+            a, count = was[c] - was[cells[0]], start[c + 1] - start[c]
             other = was[c + 1] - was[c] != count
             for k in range(0 if other else count):
-                other |= old[a + k] != fresh[at + k]
+                other |= old[a + k] != fresh[used + k]
+            used += count
             if other:
                 left, right, near, far = min(left, row // ny), row // ny + 1, min(near, c - row), max(far, c - row + 1)
-        used += start[row + end] - start[row + begin]
     return (left, right, near, far), used
 
 
