@@ -210,19 +210,21 @@ def _on_treads(
     found: BoolArray,
 ) -> None:
     (nx, ny), (width, max_step) = height.shape, limits
-    sole, stride = SOLE / width + 0.5, rings_of(STRIDE, width)
+    sole, stride, here = SOLE / width + 0.5, rings_of(STRIDE, width), -1
+    top, around, reach = 0.0, False, int(sole)
     for m in range(len(z)):
         x, y = cell[m] // ny, cell[m] % ny
         own = float(height[x, y])
         if not z[m] <= own + max_step + ROUGH:  # a NaN compares false
             continue
-        top, around, reach = own, is_tread(height, x, y, stride), int(sole)
-        for u in range(max(x - reach, 0), min(x + reach + 1, nx)):
-            for v in range(max(y - reach, 0), min(y + reach + 1, ny)):
-                if (u - x) ** 2 + (v - y) ** 2 <= sole * sole:
-                    around = around and height[u, v] >= own - max_step
-                    if top < rests[u, v] <= own + max_step:
-                        top = rests[u, v]
+        if cell[m] != here:  # points of one cell follow one another
+            here, top, around = cell[m], own, is_tread(height, x, y, stride)
+            for u in range(max(x - reach, 0), min(x + reach + 1, nx)):
+                for v in range(max(y - reach, 0), min(y + reach + 1, ny)):
+                    if (u - x) ** 2 + (v - y) ** 2 <= sole * sole:
+                        around = around and height[u, v] >= own - max_step
+                        if top < rests[u, v] <= own + max_step:
+                            top = rests[u, v]
         found[m] = around and z[m] <= top + ROUGH
 
 

@@ -226,16 +226,20 @@ class _Beside(NamedTuple):
 def _faces(rows: IntArray, other: tuple[FloatArray, IntArray, Float32Array], told: _Beside, face: BoolArray) -> None:
     """See `_is_face`: the `other` points, their cells and their ledges are told."""
     (points, cell, ledges), known, noise = other, told.known, told.noise
-    step = max(LEAST_OBSTACLE, noise)
+    step, here = max(LEAST_OBSTACLE, noise), -1
+    x, y, low, high, lowest = 0, 0, 0.0, 0.0, 0.0
     for m in range(len(rows)):
         row = rows[m]
-        x, y, z = cell[row] // known.shape[1], cell[row] % known.shape[1], points[row, 2]
-        low, high = ends_around(known, x, y, told.rings)
+        if cell[row] != here:  # points of one cell follow one another
+            here = cell[row]
+            x, y = here // known.shape[1], here % known.shape[1]
+            (low, high), lowest = ends_around(known, x, y, told.rings), ends_around(known, x, y, 1)[0]
+        z, face[m] = points[row, 2], False
         ledge = _ledge_beside(told, x, y, z, low + step, float(ledges[row]))
-        foot = _highest_up_to(ledge - step, known, x, y, told.rings)
-        lowest = ends_around(known, x, y, 1)[0]
+        if ledge < np.inf:
+            face[m] = ledge <= _highest_up_to(ledge - step, known, x, y, told.rings) + told.max_step
         scatter = step if high - low > step else LEAST_OBSTACLE - _SURELY * noise
-        face[m] = ledge <= foot + told.max_step or (np.isfinite(lowest) and z <= lowest + scatter)
+        face[m] |= np.isfinite(lowest) and z <= lowest + scatter
 
 
 @lean()

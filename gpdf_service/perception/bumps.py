@@ -116,18 +116,18 @@ def _are_places(
     That is as high as half the most that they are `raised` [m], shape (m,).
     """
     layers, last = near.layers, _tops(raised, piece)
-    by_node = last[np.argsort(nodes[last])]
+    by_node, enough = last[np.argsort(nodes[last])], _room_of_things(layers.cell_width, config)
     most, reach = nodes[by_node], int(LANDING / layers.cell_width)
 
     def count(part: Layers, asked: IntArray, _: IntArray, least: FloatArray, ground: BoolArray) -> IntArray:
-        found: IntArray = _cells_as_high(asked, part.columns, ground, least, reach, config.max_step)
+        found: IntArray = _cells_as_high(asked, part.columns, ground, least, (reach, enough), config.max_step)
         return found
 
     row = layers.cell[most] // layers.shape[1]
     span = np.column_stack([row - reach, row + reach + 1])
     room = np.empty(len(most), np.int64)
     room[piece[by_node]] = near.few(name, most, span, count, (layers.height[most] - 0.5 * raised[by_node],), (ground,))
-    found: BoolArray = room > _room_of_things(layers.cell_width, config)
+    found: BoolArray = room > enough
     return found
 
 
@@ -352,15 +352,16 @@ def _around(first: IntArray, boxes: IntArray, columns: Columns, ground: BoolArra
 
 @njit(cache=True, nogil=True)
 def _cells_as_high(
-    nodes: IntArray, columns: Columns, ground: BoolArray, least: FloatArray, reach: int, most: float
+    nodes: IntArray, columns: Columns, ground: BoolArray, least: FloatArray, limits: tuple[int, int], most: float
 ) -> IntArray:
     """Cells of ground at `least` as high, and within `most` over it [m], that is joined to each node, shape (m,).
 
-    Within a `reach` of cells; and cells beside these, as between the rings of a scan are cells without a point.
+    Within the first of the `limits`, in cells; and cells beside these, as between the rings of a scan are cells without
+    a point. Where they are more than the second of the limits, it is told of some more alone.
     """
-    count, (seen, asked, joined) = np.empty(len(nodes), np.int64), _flood_room(reach)
+    count, space = np.empty(len(nodes), np.int64), _flood_room(limits[0])
     for n in range(len(nodes)):
-        count[n] = _flood(nodes[n], columns, ground, least[n], most, seen, asked, joined)[1]
+        count[n] = _flood(nodes[n], columns, ground, (least[n], most), space, limits[1])[1]
     return count
 
 
@@ -379,48 +380,44 @@ def _join_tops(
     Not where more than the second of the `limits` cells are within the first, half as high or beside such, and not of
     a tread, from which it goes on upwards by `most` at most [m].
     """
-    reach, room = limits
-    seen, asked, joined = _flood_room(reach)
+    space = _flood_room(limits[0])
     for n in range(len(nodes)):
         top = columns.height[nodes[n]]
-        found, met = _flood(nodes[n], columns, ground, top - 0.5 * raised[n], most, seen, asked, joined)
-        cells = joined[:found]
-        if met > room or columns.height[cells].max() > top + LEAST_BUMP:
+        found, met = _flood(nodes[n], columns, ground, (top - 0.5 * raised[n], most), space, limits[1])
+        cells = space[2][:found]
+        if met > limits[1] or columns.height[cells].max() > top + LEAST_BUMP:
             continue
         for i in cells:
             if columns.height[i] > top - 0.25 * raised[n]:
                 made[i] = max(made[i], raised[n])
 
 
+_Space = tuple[BoolArray, IntArray, IntArray]
+"""Cells within a reach: which were met, (w, w), which are asked, (w², 2), and their nodes, (w²,)."""
+
+
 @njit(cache=True, nogil=True)
-def _flood_room(reach: int) -> tuple[BoolArray, IntArray, IntArray]:
-    """Room for the cells within a reach: which were met, (w, w), which are asked, (w², 2), and their nodes, (w²,)."""
+def _flood_room(reach: int) -> _Space:
     width = 2 * reach + 1
     return np.empty((width, width), np.bool_), np.empty((width * width, 2), np.int64), np.empty(width**2, np.int64)
 
 
 @lean()
 def _flood(
-    node: int,
-    columns: Columns,
-    ground: BoolArray,
-    least: float,
-    most: float,
-    seen: BoolArray,
-    asked: IntArray,
-    joined: IntArray,
+    node: int, columns: Columns, ground: BoolArray, ends: tuple[float, float], space: _Space, enough: int
 ) -> tuple[int, int]:
-    """Write what ground, at `least` so high and within `most` over it [m], is joined to a node; how many cells.
+    """Write into the `space` what ground, joined to a node, is at least as high, and within how much more; how many.
 
-    And how many with those beside them.
+    Both are the `ends` [m]. And how many cells with those beside them; where these are more than `enough`, not all.
     """
-    (nx, ny), width = columns.shape, len(seen)
+    (nx, ny), (least, most), (seen, asked, joined) = columns.shape, ends, space
+    width = len(seen)
     left, near = columns.cell[node] // ny - width // 2, columns.cell[node] % ny - width // 2
     seen[:] = False
     seen[width // 2, width // 2] = True
     asked[0] = width // 2
     at, count, found = 0, 1, 0
-    while at < count:
+    while at < count <= enough:
         x, y = asked[at]
         at += 1
         there = _nearest((left + x) * ny + near + y, columns, ground, least + 0.5 * most, 0.5 * most)

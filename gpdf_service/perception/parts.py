@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from gpdf_service.config import PerceptionConfig
@@ -16,6 +15,7 @@ from gpdf_service.perception.bumps import LANDING
 from gpdf_service.perception.strides import find_strides
 from gpdf_service.tiles.beside import Answer, Beside, Strips
 from gpdf_service.tiles.layers import HALF, Layers, Pairs, connect, steady
+from gpdf_service.tiles.nearest import nearest_of
 from gpdf_service.tiles.nodes import (
     components,
     extents_of,
@@ -333,29 +333,31 @@ def _apart(near: Beside, parts: Parts, group: IntArray, main: BoolArray, config:
     under, over, beside = (np.bincount(group, each, count) for each in kinds)
     large &= over <= OVER_SHARE * size
     storey, open_ = under >= COVERED_SHARE * size, beside >= (1.0 - OVER_SHARE) * size
-    asked = large & (open_ | storey)
+    sure: BoolArray = large & storey & vast
+    asked = large & (open_ | storey) & ~sure
     if not asked.any():
-        return asked
-    even, sunk, low, lofty = _over_main(near, parts, group, main, asked, config)
-    storey &= vast | (lofty & (area >= ROOM_AREA))
-    found: BoolArray = asked & (even | storey | (open_ & (sunk | vast & low)))
+        return sure
+    even, sunk, low, lofty = _over_main(near, parts, group, ground, asked, config)
+    storey &= lofty & (area >= ROOM_AREA)
+    found: BoolArray = sure | (asked & (even | storey | (open_ & (sunk | vast & low))))
     return found
 
 
 def _over_main(
-    near: Beside, parts: Parts, group: IntArray, main: BoolArray, asked: BoolArray, config: PerceptionConfig
+    near: Beside, parts: Parts, group: IntArray, ground: Strips, asked: BoolArray, config: PerceptionConfig
 ) -> list[BoolArray]:
-    """Of the groups that are `asked` about which are within a step of the `main` ground beside them, and below it.
+    """Of the groups that are `asked` about which are within a step of the main `ground` beside them, and below it.
 
     Further, which are lower over it than a storey, and which are level and no lower than that; shape (groups,).
     """
-    layers, label, keep = near.layers, parts.pieces.whole, np.concatenate(parts.keep)
-    of_node, ours = group[label], keep & main[label]
-    nodes, holds, step = np.flatnonzero(keep & asked[of_node]), _holding(layers, ours), config.max_step
-    height, own = layers.height[nodes], of_node[nodes]
-    rise, of = height - _beside(layers, ours, holds)[layers.cell[nodes]], np.unique(own, return_inverse=True)[1]
-    level = np.abs(height - ndimage.median(height, of, np.arange(of.max() + 1))[of]) <= step
-    tall = rise >= config.storey_headroom
+    layers, step, there = near.layers, config.max_step, parts.pieces.chosen("asked apart", asked[group])
+    (nodes,) = near.where("apart", near.each("nodes apart", np.logical_and, parts.keep, there))
+    height, own, middle = layers.height[nodes], group[parts.pieces.at(nodes)], np.zeros(len(asked))
+    ours = np.flatnonzero(np.concatenate(parts.keep) & np.concatenate(ground))
+    rise = height - _beside(layers, ours, layers.cell[nodes])
+    for k in np.flatnonzero(asked):
+        middle[k] = np.median(height[own == k])
+    level, tall = np.abs(height - middle[own]) <= step, rise >= config.storey_headroom
     size = np.maximum(np.bincount(group, parts.size, len(asked)).astype(np.int64), 1)
     kinds = np.abs(rise) <= step, rise < -step, rise < config.storey_headroom, level & tall
     return [np.bincount(own[kind], minlength=len(asked)) / size >= 1.0 - OVER_SHARE for kind in kinds]
@@ -379,12 +381,12 @@ def _holding(layers: Layers, ours: BoolArray) -> BoolArray:
     return holds
 
 
-def _beside(layers: Layers, ours: BoolArray, holds: BoolArray) -> FloatArray:
-    """Height of the highest of `ours` in the nearest cell that `holds` one [m], shape (cells,)."""
-    high = np.zeros(layers.shape)
-    high.ravel()[layers.cell[ours]] = layers.height[ours]  # the highest: nodes are sorted by their height in a cell
-    nearest = ndimage.distance_transform_edt(~holds.reshape(layers.shape), return_distances=False, return_indices=True)
-    made: FloatArray = high[tuple(nearest)].ravel()
+def _beside(layers: Layers, ours: IntArray, cells: IntArray) -> FloatArray:
+    """Height of the highest of the nodes `ours` in the nearest cell to each of the `cells` that holds one [m], (m,)."""
+    high, holds = np.zeros(len(layers.start) - 1), np.zeros(layers.shape, dtype=bool)
+    high[layers.cell[ours]] = layers.height[ours]  # the highest: nodes are sorted by their height in a cell
+    holds.ravel()[layers.cell[ours]] = True
+    made: FloatArray = high[nearest_of(holds)[1].ravel()[cells]]
     return made
 
 

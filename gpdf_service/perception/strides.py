@@ -73,8 +73,8 @@ def find_strides(
         x, y, used = cell[i] // ny, cell[i] % ny, 0
         if not (rim[i] and mixed[x // wide, y // wide]):
             continue
-        for u in range(max(x - rings, 0), min(x + rings + 1, nx)):
-            for v in range(max(y - rings, 0), min(y + rings + 1, ny)):
+        for u in range(x, min(x + rings + 1, nx)):  # only nodes after it are looked at
+            for v in range(max(y - rings, 0) if u > x else y, min(y + rings + 1, ny)):
                 away = (u - x) ** 2 + (v - y) ** 2
                 if away > reach**2:
                     continue

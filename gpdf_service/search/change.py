@@ -21,7 +21,7 @@ from gpdf_service.search.free_space import (
     join_levels,
     reach_of,
 )
-from gpdf_service.search.graph import Edges, change_edges
+from gpdf_service.search.graph import Edges, SameLeaves, change_edges, same_leaves
 from gpdf_service.search.places import Places
 from gpdf_service.search.quadtree import Quadtree, change_quadtree
 from gpdf_service.tiles.boxes import span, widened, window
@@ -71,17 +71,19 @@ def _change_level(
     if len(places) == 0 and not turning.state.any():
         return replace(part, obstacle_field=was.obstacle_field.over(surface))
 
-    def leaves_and_edges() -> tuple[Quadtree, Edges]:
+    def leaves_and_edges() -> tuple[Quadtree, SameLeaves, Edges]:
         around = build_tree(places) if len(places) else None
         quadtree = change_quadtree(was.quadtree, surface, tree, radius, around, turning)
-        return quadtree, change_edges(was.quadtree, was.edges, quadtree, Places(tree), radius, around)
+        same = same_leaves(was.quadtree, quadtree)
+        return quadtree, same, change_edges(was.edges, same, quadtree, Places(tree), radius, around)
 
     def field() -> Gpdf:
         made = _change_field(was, obstacles, tree, places, setup.config.field_spacing * agent.disc_radius)
         return fit_obstacle_field(obstacles, surface, agent, setup) if made is None else made
 
-    (quadtree, edges), obstacle_field = run_beside(leaves_and_edges, field)
-    return replace(part, obstacle_field=obstacle_field.over(surface), quadtree=quadtree, edges=edges)
+    (quadtree, (_, source), edges), obstacle_field = run_beside(leaves_and_edges, field)
+    made = replace(part, obstacle_field=obstacle_field.over(surface), quadtree=quadtree, edges=edges)
+    return replace(made, source=source)
 
 
 def _change_obstacles(

@@ -18,7 +18,7 @@ from gpdf_service.fields.traversal import NearerArrays, nearest_only
 from gpdf_service.ground import CLEAN, GroundLevel, Levels, Obstacles, Scan, obstacles_of
 from gpdf_service.ground.limits import Measured
 from gpdf_service.search.core import Core, find_core, links_of
-from gpdf_service.search.graph import Edges, Graph, assemble, find_edges, price_pairs, same_leaves
+from gpdf_service.search.graph import Edges, Graph, assemble, find_edges, price_pairs
 from gpdf_service.search.layered import Layered
 from gpdf_service.search.places import Places, nearest_places, nearest_to
 from gpdf_service.search.quadtree import Quadtree, build_quadtree
@@ -31,7 +31,10 @@ from gpdf_service.types import Agent, FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True)
 class LevelSpace:
-    """One level of a free space; the attributes are those of `FreeSpace`."""
+    """One level of a free space; the attributes are those of `FreeSpace`.
+
+    And the `source` of each leaf in the version before, −1 of a new one; None where they are the same, or all new.
+    """
 
     surface: HeightMap
     ground_field: Gpdf
@@ -41,6 +44,7 @@ class LevelSpace:
     obstacle_field: Gpdf
     quadtree: Quadtree
     edges: Edges
+    source: IntArray | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +151,8 @@ class Setup(NamedTuple):
 
 Before = tuple[FreeSpace, Sequence[int]]
 """The version before, and which of its levels each level was made from, −1 where there was none."""
+Former = tuple[FreeSpace, Sequence[int], Sequence[IntArray | None]]
+"""The same, and each level's `source`, see `LevelSpace`."""
 
 
 def joined(one: Obstacles, other: Obstacles) -> Obstacles:
@@ -230,7 +236,7 @@ def join_levels(
         edges,
         offsets,
         graph,
-        core_of(quadtrees, graph, old),
+        core_of(quadtrees, graph, old and (*old, [part.source for part in parts])),
         float(area) / (2.0 * agent.disc_radius),
     )
 
@@ -266,7 +272,7 @@ def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
-def core_of(quadtrees: tuple[Quadtree, ...], graph: Graph, before: Before | None = None) -> Core:
+def core_of(quadtrees: tuple[Quadtree, ...], graph: Graph, before: Former | None = None) -> Core:
     """The leaves that ways lead over; what was decided on the leaves of the version before stands where it can.
 
     Leaves are decided on one after another, equal ones by their numbers: so levels must be in their former order.
@@ -274,14 +280,13 @@ def core_of(quadtrees: tuple[Quadtree, ...], graph: Graph, before: Before | None
     keys = "free", "half_size", "clearance"
     free, half, clearance = (_joined([getattr(tree, key) for tree in quadtrees]) for key in keys)
     links, former = links_of(graph, free, 2.0 * half, clearance), None
-    old, levels = before or (None, ())
+    old, levels, sources = before or (None, (), ())
     if old is not None and (np.diff([k for k in levels if k >= 0]) > 0).all():
-        trees = tuple(tree.standing for tree in old.quadtrees)
         source = np.full(len(free), -1)
-        for now, k, begin in zip(quadtrees, levels, _begins(quadtrees), strict=True):
+        for now, k, was, begin in zip(quadtrees, levels, sources, _begins(quadtrees), strict=True):
             if k >= 0:
-                was = np.arange(len(now.size)) if now is trees[k] else same_leaves(trees[k], now)[1]
-                source[begin : begin + len(was)] = np.where(was < 0, -1, was + old.offsets[k])
+                own = np.arange(len(now.size)) if was is None else was
+                source[begin : begin + len(own)] = np.where(own < 0, -1, own + old.offsets[k])
         former = old.core, source
     return find_core(graph, free, links, former)
 

@@ -145,14 +145,14 @@ def find_edges(
 
 
 def change_edges(
-    old: Quadtree, edges: Edges, tree: Quadtree, obstacles: Places, radius: float, places: Tree | None
+    edges: Edges, leaves: SameLeaves, tree: Quadtree, obstacles: Places, radius: float, places: Tree | None
 ) -> Edges:
-    """`find_edges` of a tree that was changed, from those of the `old` one: only leaves at the change look again.
+    """`find_edges` of a tree that was changed, from those before: only leaves at the change look again.
 
     What proves an edge are obstacles within the radius of its way through its two leaves. So it stands where both are
-    as they were, and none of the `places` where obstacles came or went is that near.
+    as they were, `same_leaves`, and none of the `places` where obstacles came or went is that near.
     """
-    now, was = same_leaves(old, tree)
+    now, was = leaves
     same, squares = was >= 0, (tree.origin, tree.width, tree.corner, tree.size)
     if places is not None:
         _feel(places, squares, tree.free, tree.whole, radius, same)
@@ -167,8 +167,12 @@ def change_edges(
     return made[0][:used], made[1][:used]
 
 
-def same_leaves(old: Quadtree, tree: Quadtree) -> tuple[IntArray, IntArray]:
-    """Number now of each leaf that was, −1 where it is another, and the number then of each leaf now."""
+SameLeaves = tuple[IntArray, IntArray]
+"""Number now of each leaf that was, −1 where it is another, and the number then of each leaf now."""
+
+
+def same_leaves(old: Quadtree, tree: Quadtree) -> SameLeaves:
+    """Which leaves of two trees are the same ones."""
     now, was = np.full(len(old.code), -1), np.full(len(tree.code), -1)
     if (old.origin != tree.origin).any() or old.side != tree.side:
         return now, was

@@ -257,7 +257,7 @@ def _split(
     obstacles, places, moved = trees
     origin, width, depth, radius = measures
     rows, columns = _sides(felt, origin, width)
-    capacity, count = 2 * len(size_was) + (1 << 14), 0
+    capacity, count = len(size_was) + _MORE, 0
     corner, size = np.empty((capacity, 2), np.int64), np.empty(capacity, np.int64)
     clearance, state = np.empty(capacity), np.empty(capacity, np.uint8)
     stack, bound = np.empty((4 * depth + 4, 4), np.int64), np.empty(4 * depth + 4)
@@ -310,7 +310,13 @@ def _split(
         else:
             state[count] = state_of(distance, half_diagonal, radius, is_known(ground, x[0], x[1]))
         count += 1
-    return corner[:count].copy(), size[:count].copy(), clearance[:count].copy(), state[:count].copy()
+    if len(size) > capacity:  # it grew: much room may be left
+        return corner[:count].copy(), size[:count].copy(), clearance[:count].copy(), state[:count].copy()
+    return corner[:count], size[:count], clearance[:count], state[:count]
+
+
+_MORE = 1 << 14
+"""Leaves that there is room for beside as many as before."""
 
 
 @njit(cache=True, nogil=True)

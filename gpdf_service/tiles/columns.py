@@ -513,7 +513,8 @@ def lowest_above(
             for e in range(np.searchsorted(keys, first), len(keys)):
                 if keys[e] > first + 4:
                     break
-                near = np.hypot(ends[e, 0] - points[i, 0], ends[e, 1] - points[i, 1]) <= reach
-                if near and least[i] <= ends[e, 2] < best[i]:
+                if not least[i] <= ends[e, 2] < best[i]:
+                    continue
+                if np.hypot(ends[e, 0] - points[i, 0], ends[e, 1] - points[i, 1]) <= reach:
                     best[i] = ends[e, 2]
     return best

@@ -56,7 +56,8 @@ def _along_rows(row: IntArray, distance: FloatArray, index: IntArray) -> None:
                 used -= 1
             begin = 0
             if used > 0:  # from here on y is nearer than the last one, in whole numbers
-                begin = (y * y - last * last + off[y] - off[last]) // (2 * (y - last)) + 1
+                apart, more = y * y - last * last + off[y] - off[last], 2 * (y - last)
+                begin = (apart >> 1 if more == 2 else apart // more) + 1  # nearly all are: a division takes longer
             if begin < ny:
                 column[used], first[used] = y, begin
                 used += 1

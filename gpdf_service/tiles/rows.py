@@ -79,13 +79,13 @@ def rows_in_cells(points: FloatArray, origin: FloatArray, cell_width: float, wan
 @njit(cache=True, nogil=True)
 def rows_by_cell(wanted: BoolArray, start: IntArray) -> IntArray:
     """Rows of the points in the `wanted` cells, shape (nx, ny), of points by cell, where each begins at its `start`."""
-    (nx, ny), count, used = wanted.shape, 0, 0
-    for x in range(nx):
-        for y in range(ny):
+    ny, count, used, (left, right, near, far) = wanted.shape[1], 0, 0, span(wanted)
+    for x in range(left, right):
+        for y in range(near, far):
             count += start[x * ny + y + 1] - start[x * ny + y] if wanted[x, y] else 0
     made = np.empty(count, np.int64)
-    for x in range(nx):
-        for y in range(ny):
+    for x in range(left, right):
+        for y in range(near, far):
             for row in range(start[x * ny + y], start[x * ny + y + 1] if wanted[x, y] else 0):
                 made[used] = row
                 used += 1

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from gpdf_service.fields.tree import build_tree, change_tree
 from gpdf_service.search.change import rows_in_tree
-from gpdf_service.search.graph import change_edges, find_edges
+from gpdf_service.search.graph import change_edges, find_edges, same_leaves
 from gpdf_service.search.places import Places
 from gpdf_service.search.quadtree import build_quadtree, change_quadtree, root_of
 from gpdf_service.tiles.rows import rows_in_cells
@@ -42,7 +42,8 @@ def assert_same(surface_was, places_was, surface, places):
     for key in ("corner", "size", "free", "whole"):
         np.testing.assert_array_equal(getattr(tree, key), getattr(built, key), err_msg=key)
     np.testing.assert_allclose(tree.clearance, built.clearance, atol=1e-9)
-    found = change_edges(old, find_edges(old, Places(trees[0]), RADIUS), tree, Places(trees[1]), RADIUS, around)
+    edges = find_edges(old, Places(trees[0]), RADIUS)
+    found = change_edges(edges, same_leaves(old, tree), tree, Places(trees[1]), RADIUS, around)
     expected = find_edges(built, Places(trees[1]), RADIUS)
     np.testing.assert_array_equal(found[0], expected[0])
     np.testing.assert_array_equal(found[1], expected[1])

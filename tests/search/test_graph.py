@@ -25,6 +25,7 @@ from gpdf_service.search.graph import (
     place_of_node,
     price_edges,
     price_pairs,
+    same_leaves,
 )
 from gpdf_service.search.landmarks import find_landmarks
 from gpdf_service.search.patch import Nodes, around, patched
@@ -232,7 +233,7 @@ def test_a_place_that_comes_beside_the_crossing_of_two_leaves_cuts_their_way_tho
             come = via[row] + beside * (radius - 0.25 * half**2 / radius)
             now = build_tree(np.vstack([places, come]))
             tree = change_quadtree(old, surface, now, radius, build_tree(come[None]), turned(surface, surface))
-            found = change_edges(old, edges, tree, Places(now), radius, build_tree(come[None]))
+            found = change_edges(edges, same_leaves(old, tree), tree, Places(now), radius, build_tree(come[None]))
             expected = find_edges(tree, Places(now), radius)
             np.testing.assert_array_equal(found[0], expected[0])
             np.testing.assert_array_equal(found[1], expected[1])
