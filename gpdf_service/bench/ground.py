@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gpdf_service.bench.hard_clouds import TURNS, hall_rows, spiral_rows
+from gpdf_service.bench.hard_clouds import HOUSE, TURNS, hall_rows, spiral_rows, turned_house
 from gpdf_service.bench.houses import house_rows
 from gpdf_service.bench.places import island_rows, label_rows, land_rows, path_rows
 from gpdf_service.bench.report import Row, each, show
@@ -51,8 +51,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--rows",
         nargs="+",
         choices=[*ROWS, "all"],
-        help="other rows instead: ray-cast houses, a museum's stair, spiral ramps, where a start (x, y) lands, "
-        "islands, labels of random places and paths in them",
+        help="other rows instead: ray-cast houses, stairs of a museum and a house, spiral ramps, where a start (x, y) "
+        "lands, islands, labels of random places and paths in them",
     )
     parser.add_argument("--scanner", action="append", choices=list(SCANNERS), help="of the houses; repeatable")
     parser.add_argument("--origins", action="store_true", help="houses are built with where the rays began")
@@ -94,7 +94,10 @@ def _houses(args: argparse.Namespace) -> Iterator[Row]:
 
 
 def _hall(args: argparse.Namespace) -> Iterator[Row]:
-    return hall_rows(args.data, TURNS if args.count is None else min(args.count, TURNS), args.seed)
+    turns = TURNS if args.count is None else min(args.count, TURNS)
+    yield from hall_rows(args.data, turns, args.seed)
+    if (args.data / HOUSE).exists():
+        yield turned_house(args.data, turns)
 
 
 def _spiral(args: argparse.Namespace) -> Iterator[Row]:

@@ -1,4 +1,4 @@
-"""Real clouds that defeated perception: a museum's stair at every voxel width and angle, spiral ramps and bridges."""
+"""Real clouds that defeated perception: stairs of a museum and a house at every angle, spiral ramps and bridges."""
 
 from __future__ import annotations
 
@@ -18,15 +18,17 @@ from gpdf_service.scene import Scene
 from gpdf_service.synthetic.solids import turn_and_shift
 from gpdf_service.types import AGENTS, Agent, FloatArray, Status
 
-HALL, SPIRAL = "hall_stair_2cm.npz", "spiral_ramps_20cm.npz"
+HALL, HOUSE, SPIRAL = "hall_stair_2cm.npz", "house_2storey_stairs_4cm.npz", "spiral_ramps_20cm.npz"
 FOOT, HEAD = np.array([59.6, 34.4, 0.55]), np.array([59.6, 28.6, 5.15])
 """[m] In front of the museum's stair, and on its gallery."""
 FLIGHT = np.array([[58.8, 30.9, 0.9], [60.4, 31.45, 4.6]])
 """[m] A piece of 0.55 m of its flight, with all that is over and under it."""
+LOWER, UPPER = np.array([9.0, 14.0, 1.65]), np.array([14.0, 13.0, 5.35])
+"""[m] On the two floors of the house."""
 WIDTHS = (0.02, 0.03, 0.04, 0.05, 0.06)
 """[m] Voxels to which the museum is thinned."""
 TURNS = 7
-"""Angles that it is turned by, over a whole turn."""
+"""Angles that it is turned by, over a whole turn; and a house."""
 NEAR = 0.3
 """[m] Ends are moved by this at most: the points of the stair's surroundings are another in every voxel width."""
 SPIRAL_CELL = 0.2
@@ -65,6 +67,18 @@ def hall_rows(folder: Path, turns: int, seed: int, widths: Sequence[float] = WID
                 for name, ok in zip(names, found, strict=True):
                     row[name] += ok
         yield row | {"us_a_point": float(np.median(spent))}
+
+
+def turned_house(folder: Path, turns: int) -> Row:
+    """Of so many angles that a scanned house is turned by, in how many a human gets up its stair and down."""
+    points, spent = read_cloud(folder / HOUSE).points, []
+    row: Row = {"row": "house", "turns": turns, "up": 0, "down": 0}
+    for turn in range(turns):
+        T = turn_and_shift(2 * np.pi * turn / TURNS)[:3, :3].T
+        (up, down), seconds = _both_ways(points @ T, LOWER @ T, UPPER @ T)
+        row["up"], row["down"] = row["up"] + up, row["down"] + down
+        spent.append(1e6 * seconds / len(points))
+    return row | {"us_a_point": float(np.median(spent))}
 
 
 def _thinned(points: FloatArray, width: float, rng: np.random.Generator) -> FloatArray:

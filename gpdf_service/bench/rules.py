@@ -249,11 +249,14 @@ def _islands(seed: int) -> Row:
 
 
 def _real(data: Path) -> Row:
-    """A museum's stair, spiral ramps, a labelled office; of a hamlet how much is ground, as roofs are none."""
+    """A museum's stair, a house's, spiral ramps, a labelled office; of a hamlet how much is ground: roofs are none."""
     made: Row = {}
     if (data / hard_clouds.HALL).exists():
         rows = list(hard_clouds.hall_rows(data, HALL_TURNS, 0, HALL))
         made |= {f"hall_{key}": sum(row[key] for row in rows) for key in ("up", "down", "cut_joined")}
+    if (data / hard_clouds.HOUSE).exists():
+        row = hard_clouds.turned_house(data, hard_clouds.TURNS)
+        made |= {f"house_{key}": row[key] for key in ("up", "down")}
     if (data / hard_clouds.SPIRAL).exists():
         rows = list(hard_clouds.spiral_rows(data, PAIRS, 0, hard_clouds.SPIRAL_BODIES[1:]))
         made["spiral_spot"] = rows[0]["ok"]

@@ -96,15 +96,17 @@ def fill_holes(
     seen_through, pit, *_ = voids
     height, state = _fill_gaps(grid, "gaps", surface.height, surface.state, surface, noise)
 
-    def notched(_: Box, height: Float32Array, state: ByteArray, beneath: BoolArray) -> tuple[Float32Array, ByteArray]:
-        made = fill_notches(replace(surface, height=height, state=state), beneath, config)
+    def notched(
+        _: Box, height: Float32Array, state: ByteArray, beneath: BoolArray, stands: BoolArray
+    ) -> tuple[Float32Array, ByteArray]:
+        made = fill_notches(replace(surface, height=height, state=state), beneath, stands, config)
         return made.height, made.state
 
-    given = height, state, seen_through | pit
+    held, at_floor = material
+    given = height, state, seen_through | pit, held
     height, state = grid.around("notches", notches_reach(surface, config), notched, *given)
     known = state != UNKNOWN
     ends = _no_holes(grid, surface, near, voids)
-    held, at_floor = material
     height, state = _fill_planes(grid, ends, surface.cell_width, (height, state), ~known & ~held, known)
     height, state = _fill_single(np.flatnonzero(at_floor & (state == UNKNOWN)), height, state)
     height, state = _fill_gaps(grid, "gaps left", height, state, surface, noise)  # of larger ones

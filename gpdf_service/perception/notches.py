@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numba import njit
 from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.ground.foot import SOLE, STRIDE
+from gpdf_service.ground.foot import SECTORS, SOLE, STRIDE
 from gpdf_service.ground.footing import ROUGH, flights
 from gpdf_service.kernel_cache import lean
 from gpdf_service.tiles.boxes import window
@@ -29,8 +28,11 @@ FLIGHT = 2.0 * STRIDE
 BENEATH_SHARE = 0.5
 """[-] Of a flight's seen treads: where under more of them the room below was seen, it was seen from its side."""
 
+Place = tuple[float, float]
+"""Along both axes of a grid [cells]; or a direction."""
 
-def fill_notches(surface: HeightMap, beneath: BoolArray, config: PerceptionConfig) -> HeightMap:
+
+def fill_notches(surface: HeightMap, beneath: BoolArray, stands: BoolArray, config: PerceptionConfig) -> HeightMap:
     """Fill what is unknown of a flight and no wider than a foot bridges, `widest_gap`: closing by a disc that wide.
 
     A nose hides the back of the tread below, and a scan from far shows strips. Such a place is of the tread around it,
@@ -43,6 +45,7 @@ def fill_notches(surface: HeightMap, beneath: BoolArray, config: PerceptionConfi
     Args:
         surface: The ground.
         beneath: Cells under which something was seen, deeper than a step, shape (nx, ny).
+        stands: Cells in which something may stand, shape (nx, ny).
         config: Limits.
     """
     flight, width = flights(surface, config.max_step, FLIGHT), surface.cell_width
@@ -51,7 +54,7 @@ def fill_notches(surface: HeightMap, beneath: BoolArray, config: PerceptionConfi
     own, known, flight = np.ascontiguousarray(height[box]), surface.state[box] != UNKNOWN, flight[box]
     below, radius = beneath[box], 0.5 * config.widest_gap / width
     closed, narrow = (nearest_of(nearest_of(known)[0] > half)[0] > half for half in (radius, 0.5 * SOLE / width))
-    _fill_bitten(own, flight & ~below, width)
+    _fill_bitten(own, flight & ~below, np.ascontiguousarray(stands[box]), width)
     asked = closed & np.isnan(own) & flight
     asked &= (
         ~below | (narrow & _at_risers(own, asked, int(SOLE / width))) | _from_the_side(known & flight, below, width)
@@ -150,44 +153,85 @@ def _closes(height: Float32Array, x: int, y: int, disc: IntArray, low: float, hi
 
 
 @njit(cache=True, nogil=True)
-def _fill_bitten(height: Float32Array, asked: BoolArray, cell_width: float) -> None:
+def _fill_bitten(height: Float32Array, asked: BoolArray, stands: BoolArray, cell_width: float) -> None:
     """Fill what a shadow bites out of a flight: uphill and downhill there is ground, and the tread itself beside.
 
-    At one end or both the flight beside is as high: one that lies across the grid at an angle stays as it was seen. A
-    tread is as wide as a sole: behind a stringer a shadow lies on the floor.
+    Uphill may be any way; of several treads the nearest one counts.
     """
-    (nx, ny), most, depth = height.shape, int(NOTCH_SPAN / cell_width) + 1, int(NOTCH_DEPTH / cell_width)
-    sole = max(1, round(SOLE / cell_width))
-    seen, half = height.copy(), np.float32(0.5) * np.float32(cell_width)
-    for x in range(nx):
-        for y in range(ny):
-            for dx, dy in ((1, 0), (0, 1)):
-                if not (asked[x, y] and np.isnan(height[x, y])):
-                    break
-                ahead, on, behind, back = _both_sides(seen, x, y, dx, dy, most, most)
-                run, low, high = (on + back) * cell_width, min(ahead, behind), max(ahead, behind)
-                if not 0.0 < run <= NOTCH_SPAN or not 2.0 * cell_width < high - low <= STEEPEST_FLIGHT * run:
-                    continue
-                for way in (-1, 1):
-                    tread, beside = _next_known(seen, x, y, way * dy, way * dx, depth)
-                    if beside == 0 or not low + half < tread < high - half:
-                        continue
-                    u, v = x + beside * way * dy, y + beside * way * dx
-                    up = abs(seen[u + on * dx, v + on * dy] - ahead)
-                    down = abs(seen[u - back * dx, v - back * dy] - behind)
-                    if min(up, down) <= half and _goes_on(seen, (u, v), (way * dy, way * dx), sole, half):
-                        height[x, y] = tread
+    depth, seen = int(NOTCH_DEPTH / cell_width), height.copy()
+    for x in range(height.shape[0]):
+        for y in range(height.shape[1]):
+            if not (asked[x, y] and np.isnan(height[x, y])) or stands[x, y]:
+                continue
+            nearest = depth + 1
+            for k in range(2 * SECTORS):
+                across = np.cos(np.pi * k / SECTORS), np.sin(np.pi * k / SECTORS)
+                tread, beside = _next_on(seen, (x, y), across, nearest - 1)
+                if beside > 0 and _is_bitten(seen, stands, (x, y), across, beside, cell_width):
+                    height[x, y], nearest = tread, beside
 
 
 @lean()
-def _goes_on(height: Float32Array, at: tuple[int, int], by: tuple[int, int], cells: int, most: Any) -> bool:  # noqa: ANN401
-    """Whether so many cells further in a direction are as high, within `most` [m], as the one they begin at."""
-    for k in range(1, cells + 1):
-        u, v = at[0] + k * by[0], at[1] + k * by[1]
-        inside = 0 <= u < height.shape[0] and 0 <= v < height.shape[1]
-        if not (inside and abs(height[u, v] - height[at]) <= most):
+def _is_bitten(
+    height: Float32Array, stands: BoolArray, at: Place, across: Place, beside: int, cell_width: float
+) -> bool:
+    """Whether a cell is between higher and lower ground, on the tread that is so many cells beside it.
+
+    At both ends the flight beside is as high. A tread is as wide as a sole: a stringer is none. Nothing stands between
+    the two, and beyond the cell something does before the ground is lower: an open side has no more treads.
+    """
+    most, half = int(NOTCH_SPAN / cell_width) + 1, np.float32(0.5 * cell_width)
+    away, along, back = (-across[0], -across[1]), (-across[1], across[0]), (across[1], -across[0])
+    (one, on), (other, off) = _next_on(height, at, along, most), _next_on(height, at, back, most)
+    run, low, high, tread = (on + off) * cell_width, min(one, other), max(one, other), _on(height, at, across, beside)
+    if min(on, off) == 0 or run > NOTCH_SPAN or not 2.0 * cell_width < high - low <= STEEPEST_FLIGHT * run:
+        return False
+    if not low + half < tread < high - half or _any_on(stands, at, across, beside):
+        return False
+    beyond, far = _next_on(height, at, away, most)
+    if far > 0 and beyond < tread - half and not _any_on(stands, at, away, far):
+        return False
+    there = at[0] + beside * across[0], at[1] + beside * across[1]
+    for k in range(1, max(1, round(SOLE / cell_width)) + 1):
+        if not abs(_on(height, there, across, k) - tread) <= half:
             return False
-    return True
+    return _ends_alike(height, there, along, on, one, half) and _ends_alike(height, there, back, off, other, half)
+
+
+@lean()
+def _ends_alike(height: Float32Array, at: Place, along: Place, cells: int, end: np.float32, most: np.float32) -> bool:
+    """Whether ground so many cells on, or one more or less, is as high as an `end`, within `most` [m]."""
+    alike = False
+    for k in range(cells - 1, cells + 2):
+        alike = alike or bool(abs(_on(height, at, along, k) - end) <= most)
+    return alike
+
+
+@lean()
+def _on(height: Float32Array, at: Place, by: Place, cells: int) -> np.float32:
+    """Height so many cells from a place on in a direction [m], NaN where none is known."""
+    u, v = int(np.round(at[0] + cells * by[0])), int(np.round(at[1] + cells * by[1]))
+    inside = 0 <= u < height.shape[0] and 0 <= v < height.shape[1]
+    return height[u, v] if inside else np.float32(np.nan)
+
+
+@lean()
+def _next_on(height: Float32Array, at: Place, by: Place, most: int) -> tuple[np.float32, int]:
+    """Height of the next known cell on a line [m], and how many cells away; 0 if there is none within `most`."""
+    for cells in range(1, most + 1):
+        found = _on(height, at, by, cells)
+        if not np.isnan(found):
+            return found, cells
+    return np.float32(np.nan), 0
+
+
+@lean()
+def _any_on(cells: BoolArray, at: Place, by: Place, count: int) -> bool:
+    """Whether any of the cells before the one that is so many cells on is among the `cells`."""
+    found = False
+    for k in range(1, count):
+        found |= cells[int(np.round(at[0] + k * by[0])), int(np.round(at[1] + k * by[1]))]
+    return found
 
 
 def between_treads(surface: HeightMap, asked: BoolArray, stair_step: float) -> BoolArray:

@@ -13,11 +13,11 @@ DEPTH = 6
 """Cells of a tread: 30 cm."""
 
 
-def filled(height, below=None):
+def filled(height, below=None, stands=None):
     state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
-    none = np.zeros(height.shape, dtype=bool)
+    below, stands = (np.zeros(height.shape, dtype=bool) if each is None else each for each in (below, stands))
     surface = HeightMap(np.zeros(2), WIDTH, height.astype(np.float32), state)
-    made = fill_notches(surface, none if below is None else below, PerceptionConfig())
+    made = fill_notches(surface, below, stands, PerceptionConfig())
     return made.height, made.state
 
 
@@ -71,6 +71,24 @@ def test_a_shadow_is_filled_as_high_as_the_tread_beside_it_but_not_as_a_stringer
     made, state = filled(height)
     assert (state[10:13, 10:12] == (INFERRED if filled_up else UNKNOWN)).all()
     assert not filled_up or np.allclose(made[10:13, 10:12], 0.25)
+
+
+@pytest.mark.parametrize("wall", [True, False])
+@pytest.mark.parametrize("turn", np.pi * np.arange(14) / 7)
+def test_a_shadow_at_the_wall_beside_a_flight_is_filled_at_any_angle_and_none_at_its_open_side(turn, wall):
+    """Nine treads of 1.2 m, of which a shadow bites out 30 cm by 80; beside them a wall, or nothing, and a floor."""
+    x, y = np.meshgrid(np.arange(90) - 45.0, np.arange(90) - 45.0, indexing="ij")
+    along, across = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
+    tread = RISE * np.clip(np.floor(along / DEPTH) + 5, 0, 9)
+    shadow, beside = (np.abs(along) < 8) & (across > 6) & (across <= 12), (across > 12) & (across <= 15)
+    height = np.where(across > 12, 0.0, tread)
+    height[shadow | beside] = np.nan
+    made, state = filled(height, stands=beside & wall)
+    inferred = state[shadow] == INFERRED
+    assert (inferred.mean() > 0.6) if wall else (inferred.mean() < 0.1)  # in its corners discs close
+    off = np.abs(made - tread)[shadow][inferred]
+    assert off.max() < 1.01 * RISE
+    assert not wall or (off < 1e-6).mean() > 0.8
 
 
 @pytest.mark.parametrize("change", ["floor", "landing"])
