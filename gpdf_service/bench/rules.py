@@ -131,7 +131,6 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "noise of each place": (_D + "cloud", "_quieter", lambda *_: iter(())),
     "planes that meet": (_D + "cloud", "place_at_edges", lambda *_: None),
     "planes next door": (_D + "cloud", "follow_planes", _none_placed),
-    "things before a surface": (_D + "cloud", "release_things", lambda *_: None),
     "rims drawn in": (_D + "cloud", "draw_in", _none_placed),
     "points alone": (_D + "cloud", "find_alone", _none_placed),
 }

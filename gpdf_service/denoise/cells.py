@@ -262,23 +262,20 @@ def sum_window(cells: Cells, moments: FloatArray, near: IntArray, total: FloatAr
 
 
 @lean()
-def gather(cells: Cells, near: IntArray, rows: IntArray, asked: BoolArray | None = None) -> int:
-    """Write places in the cells `near`, whose points are `asked` for, every k-th if there are too many; how many."""
+def gather(cells: Cells, near: IntArray, rows: IntArray) -> int:
+    """Write places in the cells `near`, every k-th if there are too many; how many."""
     total, passed, found = 0, 0, 0
     for j in near:
         if j >= 0:
-            for i in range(cells.begin[j], cells.begin[j + 1]):
-                if asked is None or asked[cells.order[i]]:
-                    total += 1
+            total += cells.begin[j + 1] - cells.begin[j]
     stride = 1 + (total - 1) // len(rows)
     for j in near:
         if j >= 0:
             for i in range(cells.begin[j], cells.begin[j + 1]):
-                if asked is None or asked[cells.order[i]]:
-                    if passed % stride == 0:
-                        rows[found] = i
-                        found += 1
-                    passed += 1
+                if passed % stride == 0:
+                    rows[found] = i
+                    found += 1
+                passed += 1
     return found
 
 

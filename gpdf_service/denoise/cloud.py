@@ -23,7 +23,7 @@ from gpdf_service.denoise.edges import place_at_edges
 from gpdf_service.denoise.noise import estimate_noise
 from gpdf_service.denoise.place import Placed, place_in_cells
 from gpdf_service.denoise.planes import Windows, find_planes
-from gpdf_service.denoise.rest import EXTREME, find_alone, follow_planes, release_things
+from gpdf_service.denoise.rest import EXTREME, find_alone, follow_planes
 from gpdf_service.denoise.rims import draw_in
 from gpdf_service.fields.shapes import FEWEST
 from gpdf_service.fields.spacing import estimate_spacing
@@ -94,7 +94,7 @@ def denoise(points: FloatArray, parts: BoolArray | None = None, noise: float | N
     Args:
         points: The cloud [m], shape (n, 3).
         parts: Which are ground, shape (n,), where that is known: the surfaces of ground and of the rest are told
-            without each other, for at the foot of a wall a window holds both; and no things stand before the ground's.
+            without each other, for at the foot of a wall a window holds both.
         noise: Standard deviation of the points along the normal [m]; measured when it is not given.
     """
     if noise is None:
@@ -104,10 +104,10 @@ def denoise(points: FloatArray, parts: BoolArray | None = None, noise: float | N
             return as_measured(points, noise)
     parts = np.zeros(len(points), dtype=bool) if parts is None else parts
     made = as_measured(points.copy(), noise)
-    for part, things in ((parts, False), (~parts, True)):
+    for part in (parts, ~parts):
         rows = np.flatnonzero(part)
         if len(rows) > FEWEST:
-            own = _denoise_part(points.take(rows, 0), noise, things)
+            own = _denoise_part(points.take(rows, 0), noise)
             for whole, told in zip(_arrays(made), _arrays(own), strict=True):
                 whole[rows] = told
     return made
@@ -118,19 +118,19 @@ def _arrays(made: Denoised) -> tuple[NDArray[Any], ...]:
     return made.points, made.noise, made.vague, made.stray, made.local
 
 
-def _denoise_part(points: FloatArray, noise: float, things: bool) -> Denoised:
+def _denoise_part(points: FloatArray, noise: float) -> Denoised:
     """All as noisy as the noisiest, then what is quieter with its own noise, beside what is around it.
 
     Blocks are of places on surfaces: one that cuts a wall's points as they were measured has those that are off little.
     """
-    made = _denoise_alike(points, noise, things)
+    made = _denoise_alike(points, noise)
     blocks = sort_into_cells(made.points, _BLOCK)
     for _ in range(_ROUNDS):
         found = list(_quieter(points, blocks, made))
         if not found:
             break
         for own, rows, quieter in found:
-            part, mine = _denoise_alike(points[rows], quieter, things), own[rows]
+            part, mine = _denoise_alike(points[rows], quieter), own[rows]
             for whole, fresh in zip(_arrays(made), _arrays(part), strict=True):
                 whole[rows[mine]] = fresh[mine]
     return made
@@ -166,7 +166,7 @@ def _medians(blocks: Cells, points: FloatArray, made: Denoised, begin: int, end:
         median[c] = np.median(off[:count]) if count >= _TOLD and 2 * count >= len(rows) else made.measured
 
 
-def _denoise_alike(points: FloatArray, noise: float, things: bool) -> Denoised:
+def _denoise_alike(points: FloatArray, noise: float) -> Denoised:
     """Points that are as noisy all over, in one pass."""
     width = RESOLVED * noise
     cells = sort_into_cells(points, _WIDE * width)
@@ -193,8 +193,6 @@ def _denoise_alike(points: FloatArray, noise: float, things: bool) -> Denoised:
     astray |= follow_planes(near, placed)
     if placed.pending.mean() > _FEW:
         place_in_cells(wide, placed)
-    if things:
-        release_things(near, points, placed)
     astray |= draw_in(near, placed)
     left = np.where(placed.pending, np.inf, _BIAS * placed.error)
     vague, stray = astray | (left >= EXTREME * noise), find_alone(cells, placed)

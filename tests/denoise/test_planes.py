@@ -58,18 +58,6 @@ def test_a_lid_over_a_floor_is_not_drawn_onto_it():
         assert (z > 0.1).mean() > (0.9 if parts is None else 0.99)
 
 
-def test_a_rod_before_a_wall_is_let_go_and_an_outlier_is_not():
-    rng, sigma = np.random.default_rng(3), 0.02
-    side = wall(rng, 0.0, (-1.0, 1.0), (-1.0, 1.0))
-    rod = np.column_stack([np.full(300, 3.0 * sigma), np.zeros(300), rng.uniform(-0.9, 0.9, 300)])
-    points = np.concatenate(
-        [noisy(rng, side, sigma), rod + rng.normal(0.0, 0.3 * sigma, rod.shape), [[0.06, 0.7, 0.7]]]
-    )
-    made = denoise(points, noise=sigma).points
-    assert (made[len(side) : -1, 0] > 1.5 * sigma).mean() > 0.8
-    assert made[-1, 0] < sigma
-
-
 def test_foliage_stays_where_it_is():
     rng, sigma = np.random.default_rng(4), 0.01
     leaves = rng.normal([0.0, 0.0, 3.0], 0.5, (20_000, 3))
