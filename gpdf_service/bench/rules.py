@@ -124,7 +124,7 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "worn treads": (_P + "obstacles", "on_treads", _false(0)),
     "headroom from the foot's tread": (_P + "obstacles", "_over_head", lambda points, *_: np.ones(len(points), bool)),
     "voxels": ("gpdf_service.scene", "are_voxels", lambda _: False),
-    "cure of noise": (_P + "cure", "denoise", lambda points, _, noise: as_measured(points, noise)),
+    "cure of noise": (_P + "cure", "denoise", lambda points, noise, *_: as_measured(points, noise)),
     "treads under noise": (_P + "cure", "_settle_stairs", lambda *_: None),
     "outliers of things": (_P + "cure", "return_explained", lambda *_: None),
     "points that noise lifted": (_P + "cure", "find_lifted", _false(0)),

@@ -6,7 +6,7 @@ their neighbours by pointers that only go forward: work and memory are those of 
 
 from __future__ import annotations
 
-from math import floor, pi
+from math import floor
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +14,6 @@ from numba import njit
 
 from gpdf_service.fields.order import corners_of, order_by
 from gpdf_service.fields.shapes import add
-from gpdf_service.fields.spacing import NEIGHBOURS, SAMPLE, keep_least
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.kernel_cache import lean
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -252,50 +251,6 @@ def holds_any(cells: Cells, c: int, asked: BoolArray) -> bool:
     for i in range(cells.begin[c], cells.begin[c + 1]):
         found |= asked[cells.order[i]]
     return bool(found)
-
-
-def spacing_told(cells: Cells, points: FloatArray) -> float:
-    """`estimate_spacing` of the points in the cells, shape (n, 3) [m]; inf where it takes a look further than beside.
-
-    The k-th neighbour is known where it is no further than a cell is wide.
-    """
-    k, step = min(NEIGHBOURS, len(points) - 1), max(1, len(points) // SAMPLE)
-    if k < 1:
-        return 0.0
-    square = np.full(-(-len(points) // step), np.inf)
-    run_chunked(lambda a, b: _kth_range(cells, points, (k, step), a, b, square), len(cells.key))
-    return float(np.median(np.sqrt(square)) * np.sqrt(pi / k))
-
-
-@njit(cache=True, nogil=True)
-def _kth_range(
-    cells: Cells, points: FloatArray, asked: tuple[int, int], begin: int, end: int, square: FloatArray
-) -> None:
-    """Write how far the k-th neighbour is [m²] of every so many of the points, inf where it is further than a cell."""
-    (k, step), near, at = asked, np.empty(AROUND, np.int64), begin_sweep(cells, begin)
-    least, own = np.empty(k + 1), np.empty(3)
-    for c in range(begin, end):
-        looked = False
-        for i in range(cells.begin[c], cells.begin[c + 1]):
-            if cells.order[i] % step != 0:
-                continue
-            if not looked:
-                look_around(cells, c, at, near)
-                looked = True
-            own[:], least[:] = points[cells.order[i]], np.inf
-            for j in near:
-                if j >= 0:
-                    _take_nearest(points, cells.order[cells.begin[j] : cells.begin[j + 1]], own, least)
-            if least[k] <= cells.width**2:
-                square[cells.order[i] // step] = least[k]
-
-
-@lean()
-def _take_nearest(points: FloatArray, rows: IntArray, own: FloatArray, least: FloatArray) -> None:
-    """Write the least of what was so and how far some points are [m²], in order; the place itself is one of them."""
-    for row in rows:
-        off = (points[row, 0] - own[0]) ** 2 + (points[row, 1] - own[1]) ** 2 + (points[row, 2] - own[2]) ** 2
-        keep_least(least, off)
 
 
 def cells_around(cells: Cells, asked: BoolArray) -> BoolArray:
