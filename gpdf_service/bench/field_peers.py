@@ -10,8 +10,8 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from gpdf_service.denoise import denoise
-from gpdf_service.fields import fit_gpdf
+from gpdf_service.denoise import denoise, estimate_noise
+from gpdf_service.fields import estimate_spacing, fit_gpdf
 from gpdf_service.types import FloatArray
 
 Answer = tuple[FloatArray, FloatArray]
@@ -36,7 +36,8 @@ class Ours:
     """The field of this project, with the points cured first."""
 
     def __init__(self, points: FloatArray) -> None:
-        cured = denoise(points)
+        spacing = estimate_spacing(points)
+        cured = denoise(points, estimate_noise(points, spacing), spacing)
         kept = ~cured.stray
         self.field = fit_gpdf(cured.points[kept], noise=cured.noise[kept])
         self.bytes = self.field.nbytes / len(self.field.points)

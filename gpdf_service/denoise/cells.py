@@ -6,7 +6,7 @@ their neighbours by pointers that only go forward: work and memory are those of 
 
 from __future__ import annotations
 
-from math import floor, pi
+from math import floor
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +14,6 @@ from numba import njit
 
 from gpdf_service.fields.order import corners_of, order_by
 from gpdf_service.fields.shapes import add
-from gpdf_service.fields.spacing import NEIGHBOURS, SAMPLE, keep_least
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.kernel_cache import lean
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -23,8 +22,6 @@ AROUND = 27
 """A cell and those that touch it."""
 _MARGIN = 3
 """Empty cells around all, so that a neighbour of the last one in a row is not the first of the next."""
-_ODD = 0x9E3779B1
-"""A number without a pattern."""
 _MOST = 1 << 19
 """Cells along a side: three of them make a number of 57 bits."""
 
@@ -65,26 +62,24 @@ class Some(NamedTuple):
     middle: FloatArray
 
 
-Grid = tuple[FloatArray, float, IntArray]
-"""Corner, width and strides of cells, as `Cells` tells them."""
-
-
 def sort_into_cells(points: FloatArray, width: float) -> Cells:
     """Points, shape (n, 3) [m], in cells of at least `width` [m]."""
-    grid = _grid_over(points, width)
-    key, places = _keys_of(points, grid), np.empty((len(points), 3))
+    lowest, highest = corners_of(points)
+    width = max(width, float((highest - lowest).max()) / _MOST)
+    corner = lowest - _MARGIN * width
+    counts = np.floor((highest - corner) / width).astype(np.int64) + 1 + _MARGIN
+    strides = np.array([counts[1] * counts[2], counts[2]])
+    key, places = np.empty(len(points), np.int64), np.empty((len(points), 3))
+    run_chunked(lambda a, b: _keys(points[a:b], corner, width, strides, key[a:b]), len(points))
     order = order_by(key)
-    begin, own = _runs(points, grid[0], key, order, places)
-    return Cells(order, places, begin, own, *grid)
+    begin, own = _runs(points, corner, key, order, places)
+    return Cells(order, places, begin, own, corner, width, strides)
 
 
 def rows_around(points: FloatArray, asked: BoolArray, width: float) -> IntArray:
-    """Rows of the points in the cells of `sort_into_cells` that hold one that is `asked` for, or are beside such."""
-    grid = _grid_over(points, width)
-    key, offsets = _keys_of(points, grid), np.arange(-1, 2)
-    around = np.add.outer(np.add.outer(offsets * grid[2][0], offsets * grid[2][1]), offsets).ravel()
-    wanted = np.unique(np.add.outer(np.unique(key[asked]), around))
-    return np.flatnonzero(_are_among(key, wanted))
+    """Rows of the points in the cells of that `width` [m] that hold one that is `asked` for, or are beside such."""
+    cells = sort_into_cells(points, width)
+    return np.sort(cells.order[np.repeat(cells_around(cells, asked), np.diff(cells.begin))])
 
 
 def rows_in_plan(cells: Cells, low: FloatArray, high: FloatArray) -> IntArray:
@@ -101,46 +96,6 @@ def rows_in_plan(cells: Cells, low: FloatArray, high: FloatArray) -> IntArray:
     first, last = (np.searchsorted(cells.key, row + np.clip(at, 0, across) * cells.strides[1]) for at in (y, far + 1))
     runs = [cells.order[a:b] for a, b in zip(cells.begin[first], cells.begin[last], strict=True)]
     return np.sort(np.concatenate([np.zeros(0, np.int64), *runs]))
-
-
-def _grid_over(points: FloatArray, width: float) -> Grid:
-    lowest, highest = corners_of(points)
-    width = max(width, float((highest - lowest).max()) / _MOST)
-    corner = lowest - _MARGIN * width
-    counts = np.floor((highest - corner) / width).astype(np.int64) + 1 + _MARGIN
-    return corner, width, np.array([counts[1] * counts[2], counts[2]])
-
-
-def _keys_of(points: FloatArray, grid: Grid) -> IntArray:
-    key = np.empty(len(points), np.int64)
-    run_chunked(lambda a, b: _keys(points[a:b], *grid, key[a:b]), len(points))
-    return key
-
-
-@njit(cache=True, nogil=True)
-def _are_among(key: IntArray, wanted: IntArray) -> BoolArray:
-    """Which keys are among those that are `wanted`, none of them twice, shape (n,)."""
-    slots = 4
-    while slots < 4 * len(wanted):
-        slots *= 2
-    table, found = np.full(slots, -1), np.empty(len(key), np.bool_)
-    for one in wanted:
-        at = _slot_of(one, slots)
-        while table[at] >= 0:
-            at = (at + 1) & (slots - 1)
-        table[at] = one
-    for i in range(len(key)):
-        at = _slot_of(key[i], slots)
-        while table[at] >= 0 and table[at] != key[i]:
-            at = (at + 1) & (slots - 1)
-        found[i] = table[at] >= 0
-    return found
-
-
-@lean()
-def _slot_of(key: int, slots: int) -> int:
-    """Where to look for a key first; keys that follow each other lie beside each other, those of rows do not meet."""
-    return (key ^ (key >> 9) * _ODD) & (slots - 1)
 
 
 @njit(cache=True, nogil=True)
@@ -262,24 +217,31 @@ def sum_window(cells: Cells, moments: FloatArray, near: IntArray, total: FloatAr
 
 
 @lean()
-def gather(cells: Cells, near: IntArray, rows: IntArray, asked: BoolArray | None = None) -> int:
-    """Write places in the cells `near`, whose points are `asked` for, every k-th if there are too many; how many."""
+def gather(cells: Cells, near: IntArray, rows: IntArray) -> int:
+    """Write places in the cells `near`, every k-th if there are too many; how many."""
     total, passed, found = 0, 0, 0
     for j in near:
         if j >= 0:
-            for i in range(cells.begin[j], cells.begin[j + 1]):
-                if asked is None or asked[cells.order[i]]:
-                    total += 1
+            total += cells.begin[j + 1] - cells.begin[j]
     stride = 1 + (total - 1) // len(rows)
     for j in near:
         if j >= 0:
             for i in range(cells.begin[j], cells.begin[j + 1]):
-                if asked is None or asked[cells.order[i]]:
-                    if passed % stride == 0:
-                        rows[found] = i
-                        found += 1
-                    passed += 1
+                if passed % stride == 0:
+                    rows[found] = i
+                    found += 1
+                passed += 1
     return found
+
+
+@lean()
+def look_at(cells: Cells, c: int, rows: IntArray, about: FloatArray) -> int:
+    """Write the places of `rows` from the middle of cell c [m], one coordinate after the other; how many."""
+    x, y, z = centre_of(cells, c)
+    for i in range(len(rows)):
+        p = cells.places[rows[i]]
+        about[0, i], about[1, i], about[2, i] = p[0] - x, p[1] - y, p[2] - z
+    return len(rows)
 
 
 @lean()
@@ -289,50 +251,6 @@ def holds_any(cells: Cells, c: int, asked: BoolArray) -> bool:
     for i in range(cells.begin[c], cells.begin[c + 1]):
         found |= asked[cells.order[i]]
     return bool(found)
-
-
-def spacing_told(cells: Cells, points: FloatArray) -> float:
-    """`estimate_spacing` of the points in the cells, shape (n, 3) [m]; inf where it takes a look further than beside.
-
-    The k-th neighbour is known where it is no further than a cell is wide.
-    """
-    k, step = min(NEIGHBOURS, len(points) - 1), max(1, len(points) // SAMPLE)
-    if k < 1:
-        return 0.0
-    square = np.full(-(-len(points) // step), np.inf)
-    run_chunked(lambda a, b: _kth_range(cells, points, (k, step), a, b, square), len(cells.key))
-    return float(np.median(np.sqrt(square)) * np.sqrt(pi / k))
-
-
-@njit(cache=True, nogil=True)
-def _kth_range(
-    cells: Cells, points: FloatArray, asked: tuple[int, int], begin: int, end: int, square: FloatArray
-) -> None:
-    """Write how far the k-th neighbour is [m²] of every so many of the points, inf where it is further than a cell."""
-    (k, step), near, at = asked, np.empty(AROUND, np.int64), begin_sweep(cells, begin)
-    least, own = np.empty(k + 1), np.empty(3)
-    for c in range(begin, end):
-        looked = False
-        for i in range(cells.begin[c], cells.begin[c + 1]):
-            if cells.order[i] % step != 0:
-                continue
-            if not looked:
-                look_around(cells, c, at, near)
-                looked = True
-            own[:], least[:] = points[cells.order[i]], np.inf
-            for j in near:
-                if j >= 0:
-                    _take_nearest(points, cells.order[cells.begin[j] : cells.begin[j + 1]], own, least)
-            if least[k] <= cells.width**2:
-                square[cells.order[i] // step] = least[k]
-
-
-@lean()
-def _take_nearest(points: FloatArray, rows: IntArray, own: FloatArray, least: FloatArray) -> None:
-    """Write the least of what was so and how far some points are [m²], in order; the place itself is one of them."""
-    for row in rows:
-        off = (points[row, 0] - own[0]) ** 2 + (points[row, 1] - own[1]) ** 2 + (points[row, 2] - own[2]) ** 2
-        keep_least(least, off)
 
 
 def cells_around(cells: Cells, asked: BoolArray) -> BoolArray:

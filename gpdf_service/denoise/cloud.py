@@ -11,22 +11,20 @@ around is flat, and then with those that are as narrow as the noise lets them be
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import isinf, sqrt
+from math import sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.denoise.cells import Cells, cells_around, rows_around, sort_into_cells, spacing_told
+from gpdf_service.denoise.cells import Cells, cells_around, rows_around, sort_into_cells
 from gpdf_service.denoise.edges import place_at_edges
-from gpdf_service.denoise.noise import estimate_noise
 from gpdf_service.denoise.place import Placed, place_in_cells
 from gpdf_service.denoise.planes import Windows, find_planes
-from gpdf_service.denoise.rest import EXTREME, find_alone, follow_planes, release_things
+from gpdf_service.denoise.rest import EXTREME, find_alone, follow_planes
 from gpdf_service.denoise.rims import draw_in
 from gpdf_service.fields.shapes import FEWEST
-from gpdf_service.fields.spacing import estimate_spacing
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -34,8 +32,6 @@ RESOLVED = 2.0
 """[-] Width of a cell over the noise: a window is then twice as wide as it is thick (standard deviations)."""
 _FILLED = 1.3
 """[-] Width of a cell over the spacing: a window of a plane then holds fifteen points."""
-_FURTHER = 4.0
-"""[-] Width of cells over that of those in which too few points lay beside each other to tell their spacing."""
 _WIDE = 2.0
 """[-] Width of the wide cells over that of the others: a window of 12 σ, as precise again, where all of it is flat."""
 _FLAT = 7
@@ -88,26 +84,24 @@ def as_measured(points: FloatArray, noise: float) -> Denoised:
     return Denoised(points, all_, none, none.copy(), noise, all_.copy())
 
 
-def denoise(points: FloatArray, parts: BoolArray | None = None, noise: float | None = None) -> Denoised:
+def denoise(points: FloatArray, noise: float, spacing: float, parts: BoolArray | None = None) -> Denoised:
     """Move every point onto the surface around it, where there is one, and find those of no surface.
 
     Args:
         points: The cloud [m], shape (n, 3).
+        noise: Standard deviation of the points along the normal [m].
+        spacing: Between neighbours on a surface [m].
         parts: Which are ground, shape (n,), where that is known: the surfaces of ground and of the rest are told
-            without each other, for at the foot of a wall a window holds both; and no things stand before the ground's.
-        noise: Standard deviation of the points along the normal [m]; measured when it is not given.
+            without each other, for at the foot of a wall a window holds both.
     """
-    if noise is None:
-        spacing = estimate_spacing(points)
-        noise = estimate_noise(points, spacing)
-        if noise <= _NEGLIGIBLE * spacing:
-            return as_measured(points, noise)
+    if noise <= _NEGLIGIBLE * spacing:
+        return as_measured(points, noise)
     parts = np.zeros(len(points), dtype=bool) if parts is None else parts
     made = as_measured(points.copy(), noise)
-    for part, things in ((parts, False), (~parts, True)):
+    for part in (parts, ~parts):
         rows = np.flatnonzero(part)
         if len(rows) > FEWEST:
-            own = _denoise_part(points.take(rows, 0), noise, things)
+            own = _denoise_part(points.take(rows, 0), noise, spacing)
             for whole, told in zip(_arrays(made), _arrays(own), strict=True):
                 whole[rows] = told
     return made
@@ -118,19 +112,19 @@ def _arrays(made: Denoised) -> tuple[NDArray[Any], ...]:
     return made.points, made.noise, made.vague, made.stray, made.local
 
 
-def _denoise_part(points: FloatArray, noise: float, things: bool) -> Denoised:
+def _denoise_part(points: FloatArray, noise: float, spacing: float) -> Denoised:
     """All as noisy as the noisiest, then what is quieter with its own noise, beside what is around it.
 
     Blocks are of places on surfaces: one that cuts a wall's points as they were measured has those that are off little.
     """
-    made = _denoise_alike(points, noise, things)
+    made = _denoise_alike(points, noise, spacing)
     blocks = sort_into_cells(made.points, _BLOCK)
     for _ in range(_ROUNDS):
         found = list(_quieter(points, blocks, made))
         if not found:
             break
         for own, rows, quieter in found:
-            part, mine = _denoise_alike(points[rows], quieter, things), own[rows]
+            part, mine = _denoise_alike(points[rows], quieter, spacing), own[rows]
             for whole, fresh in zip(_arrays(made), _arrays(part), strict=True):
                 whole[rows[mine]] = fresh[mine]
     return made
@@ -166,17 +160,10 @@ def _medians(blocks: Cells, points: FloatArray, made: Denoised, begin: int, end:
         median[c] = np.median(off[:count]) if count >= _TOLD and 2 * count >= len(rows) else made.measured
 
 
-def _denoise_alike(points: FloatArray, noise: float, things: bool) -> Denoised:
+def _denoise_alike(points: FloatArray, noise: float, spacing: float) -> Denoised:
     """Points that are as noisy all over, in one pass."""
-    width = RESOLVED * noise
+    width = max(RESOLVED * noise, _FILLED * spacing)
     cells = sort_into_cells(points, _WIDE * width)
-    spacing, beside = spacing_told(cells, points), cells
-    while isinf(spacing):
-        beside = sort_into_cells(points, _FURTHER * beside.width)
-        spacing = spacing_told(beside, points)
-    if _FILLED * spacing > width:
-        width = _FILLED * spacing
-        cells = sort_into_cells(points, _WIDE * width)
     placed = Placed(
         points.copy(),
         np.full(len(points), np.inf),
@@ -193,8 +180,6 @@ def _denoise_alike(points: FloatArray, noise: float, things: bool) -> Denoised:
     astray |= follow_planes(near, placed)
     if placed.pending.mean() > _FEW:
         place_in_cells(wide, placed)
-    if things:
-        release_things(near, points, placed)
     astray |= draw_in(near, placed)
     left = np.where(placed.pending, np.inf, _BIAS * placed.error)
     vague, stray = astray | (left >= EXTREME * noise), find_alone(cells, placed)

@@ -20,12 +20,13 @@ from gpdf_service.denoise.cells import (
     gather,
     holds_any,
     look_around,
+    look_at,
     some_of,
     some_within,
 )
 from gpdf_service.denoise.place import Placed, place_points
 from gpdf_service.denoise.planes import THICK, Planes, Windows
-from gpdf_service.denoise.turns import fit_by_turns, look_at, sum_known
+from gpdf_service.denoise.turns import fit_by_turns, sum_known
 from gpdf_service.denoise.votes import LIGHT, MOST, VOTES, Room, add_vote, cluster, collect, make_room, onto_plane
 from gpdf_service.fields.shapes import FEWEST, add, fit_plane
 from gpdf_service.fields.threads import run_chunked
@@ -67,7 +68,7 @@ def _edge_range(windows: Windows, told: tuple[Some, Planes], placed: Placed, beg
         if count == 0:
             continue
         look_around(cells, c, at, near)
-        number = look_at(cells, c, rows[: gather(cells, near, rows)], room)
+        number = look_at(cells, c, rows[: gather(cells, near, rows)], room.about)
         close = _count_close(room, number, half)
         kinds = cluster(room, count, cells.width, sigma) if close >= FEWEST else 0
         most = _explained(sigma, close)

@@ -9,9 +9,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.denoise.cells import AROUND, begin_sweep, centre_of, gather, holds_any, look_around
+from gpdf_service.denoise.cells import AROUND, begin_sweep, centre_of, gather, holds_any, look_around, look_at
 from gpdf_service.denoise.planes import Windows
-from gpdf_service.denoise.turns import fit_by_turns, look_at
+from gpdf_service.denoise.turns import fit_by_turns
 from gpdf_service.denoise.votes import LIGHT, VOTES, Room, cluster, collect, make_room, onto_plane
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.kernel_cache import lean
@@ -65,7 +65,7 @@ def _place_range(windows: Windows, placed: Placed, least: int, begin: int, end: 
         if kinds == 0 or (least > 0 and not _is_alone(room.of[:count], room.found[:kinds], least)):
             continue
         if least == 0 and kinds > 1:
-            number = look_at(cells, c, rows[: gather(cells, near, rows)], room)
+            number = look_at(cells, c, rows[: gather(cells, near, rows)], room.about)
             fit_by_turns(windows.sigma, cells.width, room, number, kinds)
         place_points(windows, c, room, kinds, placed)
 

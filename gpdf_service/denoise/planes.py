@@ -16,9 +16,9 @@ from gpdf_service.denoise.cells import (
     AROUND,
     Cells,
     begin_sweep,
-    centre_of,
     gather,
     look_around,
+    look_at,
     sum_cells,
     sum_window,
 )
@@ -96,8 +96,7 @@ def _planes_range(windows: Windows, moments: FloatArray, wanted: BoolArray, begi
             if middle > _FLAT * low:
                 _write(planes[c, 0], normal, mean, (total[0], (middle - low) ** 2 / middle, excess), cells.width, sigma)
         elif total[0] >= 2 * FEWEST:
-            count = gather(cells, near, rows)
-            _look_at(cells, c, rows[:count], about)
+            count = look_at(cells, c, rows[: gather(cells, near, rows)], about)
             for axis in range(3):
                 if _is_round((low, middle, high), axis):
                     continue
@@ -135,15 +134,6 @@ def _write(
         plane[k], plane[3 + k] = normal[k], mean[k]
     plane[6], plane[7], plane[8] = count, spread, sigma / sqrt(count * spread)
     plane[9] = (1.0 - off * off) * exp(-0.5 * max(excess, 0.0) ** 2)
-
-
-@lean()
-def _look_at(cells: Cells, c: int, rows: IntArray, about: FloatArray) -> None:
-    """Write the places of `rows` from the middle of cell c [m], one coordinate after the other."""
-    x, y, z = centre_of(cells, c)
-    for i in range(len(rows)):
-        p = cells.places[rows[i]]
-        about[0, i], about[1, i], about[2, i] = p[0] - x, p[1] - y, p[2] - z
 
 
 @lean()

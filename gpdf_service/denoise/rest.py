@@ -1,12 +1,9 @@
-"""What no plane of its cell explains: outliers go to the plane beside, things are let go again, the rest stays.
+"""What no plane of its cell explains: outliers go to the plane beside, the rest stays.
 
-An outlier is alone; a rod, a handle or a leaf is many points on one side of a plane, more than the noise's tail has
-there. What is left, foliage above all, stays as it was measured.
+What is left, foliage above all, stays as it was measured.
 """
 
 from __future__ import annotations
-
-from math import sqrt
 
 import numpy as np
 from numba import njit
@@ -18,7 +15,6 @@ from gpdf_service.denoise.cells import (
     begin_among,
     begin_sweep,
     count_in,
-    gather,
     holds_any,
     look_around,
     runs_within,
@@ -40,14 +36,6 @@ _RINGS = 2
 """Cells off its own in which an outlier's plane is looked for: 4 σ."""
 _SURROUNDINGS = 3
 """Cells off a point that is alone in which something else was seen, or the scan is thin there."""
-_TAIL, _SHARE = 2.0, 0.0228
-"""[-] Standard deviations that a point of the tail is off its plane at least, and the share of points that are, to one
-side."""
-_CHANCE, _FEWEST = 5.0, 2
-"""[-] Standard errors, and points, by which a tail exceeds what noise makes: a floor has thousands of windows, and what
-is let go of it wrongly stands over it."""
-_WITNESSES = 256
-"""Outliers beside that are looked at."""
 
 
 def follow_planes(windows: Windows, placed: Placed) -> BoolArray:
@@ -55,15 +43,6 @@ def follow_planes(windows: Windows, placed: Placed) -> BoolArray:
     before, shown = placed.pending.copy(), some_of(windows.cells, windows.main[:, 4] > 0.0)
     run_chunked(lambda a, b: _follow_range(windows, shown, placed, a, b), len(windows.main))
     return before & ~placed.pending
-
-
-def release_things(windows: Windows, points: FloatArray, placed: Placed) -> None:
-    """Make points pending again that are off their planes with more company than the noise's tail has."""
-    off = points - placed.points
-    far = ~placed.pending & (np.einsum("ij,ij->i", off, off) > (_TAIL * windows.sigma) ** 2)
-    free = np.zeros(len(points), dtype=bool)
-    run_chunked(lambda a, b: _company_range(windows, off, far, a, b, free), len(windows.main))
-    placed.points[free], placed.pending[free] = points[free], True
 
 
 def find_alone(cells: Cells, placed: Placed) -> BoolArray:
@@ -116,36 +95,6 @@ def _nearest(p: FloatArray, planes: FloatArray, limit: float, width: float) -> t
         if abs(off) < least and max(abs(a), abs(b), abs(d)) <= width:
             least, best, height = abs(off), j, off
     return best, height
-
-
-@njit(cache=True, nogil=True)
-def _company_range(windows: Windows, off: FloatArray, far: BoolArray, begin: int, end: int, free: BoolArray) -> None:
-    cells, sigma = windows[:2]
-    near, rows, at = np.empty(AROUND, np.int64), np.empty(_WITNESSES, np.int64), begin_sweep(cells, begin)
-    for c in range(begin, end):
-        if not holds_any(cells, c, far):
-            continue
-        look_around(cells, c, at, near)
-        around, tail = 0, 0
-        for j in near:
-            if j >= 0:
-                around += cells.begin[j + 1] - cells.begin[j]
-                for i in range(cells.begin[j], cells.begin[j + 1]):
-                    tail += far[cells.order[i]]
-        by_chance = _SHARE * around + _CHANCE * sqrt(_SHARE * around) + _FEWEST
-        if tail <= by_chance:
-            continue
-        count = gather(cells, near, rows, far)
-        for i in range(cells.begin[c], cells.begin[c + 1]):
-            row = cells.order[i]
-            if not far[row]:
-                continue
-            x, company = off[row], 0
-            length = sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
-            for k in rows[:count]:
-                y = off[cells.order[k]]
-                company += x[0] * y[0] + x[1] * y[1] + x[2] * y[2] > _TAIL * sigma * length
-            free[row] = company * tail > by_chance * count
 
 
 @njit(cache=True, nogil=True)

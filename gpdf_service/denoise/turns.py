@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from math import sqrt
 
-from gpdf_service.denoise.cells import Cells, centre_of
 from gpdf_service.denoise.votes import KINDS, Room
 from gpdf_service.fields.shapes import FEWEST, fit_plane
 from gpdf_service.fields.traversal import decay
 from gpdf_service.fields.tree import VECTORS, lesser
 from gpdf_service.kernel_cache import lean
-from gpdf_service.types import FloatArray, IntArray
+from gpdf_service.types import FloatArray
 
 Three = tuple[FloatArray, FloatArray, FloatArray]
 """x, y and z from a cell's middle [m], shape (n,) each."""
@@ -33,16 +32,6 @@ _WIDE = 1.2
 """[-] λ₂ over λ₁ that points show a direction from: those of half a window have 1.3."""
 _TURNED = 0.9
 """[-] Cosine of the angle (26°) that a plane can turn by: further, its points were another's."""
-
-
-@lean()
-def look_at(cells: Cells, c: int, rows: IntArray, room: Room) -> int:
-    """Write the places of `rows` from the middle of cell c into the room; how many."""
-    x, y, z = centre_of(cells, c)
-    for k in range(len(rows)):
-        p = cells.places[rows[k]]
-        room.about[0, k], room.about[1, k], room.about[2, k] = p[0] - x, p[1] - y, p[2] - z
-    return len(rows)
 
 
 @lean()

@@ -137,7 +137,7 @@ def _cured(points: FloatArray, ground: BoolArray, noise: float, spacing: float) 
 
     The floor explains nothing that was labelled as no ground, and no thing what is ground.
     """
-    cured = denoise(points, ground, noise)
+    cured = denoise(points, noise, spacing, ground)
     cured.stray[~ground] = False  # what is alone goes back to a surface that explains it, or stays where it is
     return_explained(points, ~ground, ~ground, cured, spacing)
     return_explained(points, ground, ground, cured, spacing, _APART)
@@ -150,7 +150,7 @@ def _found(points: FloatArray, noise: float, spacing: float, config: PerceptionC
 
     What is no ground may be an outlier of it. Ground stays: points that are put back clump, and leave cells empty.
     """
-    cured = denoise(points, None, noise)
+    cured = denoise(points, noise, spacing)
     ground, kept = np.zeros(len(points), dtype=bool), chosen_rows(cured.points, ~cured.stray)
     ground[~cured.stray] = segment(kept, config, noise=cured.local[~cured.stray])[0]
     return_explained(points, ~ground, ground, cured, spacing, _APART)
