@@ -52,7 +52,7 @@ _QUIETER = np.sqrt(2.0)
 """[-] Noise that is denoised as one, over the least in it: as much again as single windows differ by chance."""
 _QUIETEST = 6
 """Times that the noise is less by that: an eighth. Cells then have the width of the spacing, whatever the noise."""
-_ROUNDS = 3
+_ROUNDS = 2
 """Of this: where a lid and the floor were smeared into one, the next one tells them apart, and less noise."""
 _NORMAL = 1.4826
 """[-] Standard deviation of normal residuals over the median of their size."""
