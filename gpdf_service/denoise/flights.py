@@ -40,7 +40,7 @@ _RINGS = 3
 _FEWEST_VOXELS, _WIDE = 4, 1e-2
 """Voxels that tell that plane, and how wide they must lie across: of the square of how far they lie in all [-]."""
 _BESIDE = 40
-"""Points that tell the plane of a core."""
+"""Points that tell the slope of a core."""
 _SHALLOW, _STEEP = 0.3, 1.1
 """[-] Slopes of the shallowest and the steepest stairs: 12 cm on 40 cm, and 22 cm on 20 cm."""
 _TURN = 0.94
@@ -49,8 +49,6 @@ _LONGEST, _WIDEST = 4.0, 5.0
 """[m] Of a piece that is fitted as one: a flight of a storey, as wide as any stairs in a house; more is cut."""
 _CORE = 0.7
 """[m] Width in which a flight is looked for: less than any stair's."""
-_DISC, _TRIES = 0.4, 3
-"""[m] Radius of the plane that says which way a core goes up, and how many places are compared for one core."""
 _SLICE = 0.1
 """[m] By which a flight grows along its edges."""
 _LEAST_VOXELS = 6
@@ -93,7 +91,7 @@ class Flight(NamedTuple):
     def reaches(self, place: FloatArray) -> bool:
         """Whether a core at `place`, shape (2,) [m], would be of this flight."""
         v = float(self.treads.along((place - self.origin)[None])[1][0])
-        return self.low[1] - _DISC <= v <= self.high[1] + _DISC
+        return self.low[1] - 0.5 * _CORE <= v <= self.high[1] + 0.5 * _CORE
 
 
 def onto_treads(points: FloatArray, noise: float, moved: FloatArray, left: FloatArray) -> list[Flight]:
@@ -306,46 +304,20 @@ def _flights(points: FloatArray, cells: Cells, noise: float) -> Iterator[Flight]
         for w, (low, high) in zip((u, v), piece.reach, strict=True):
             mine &= (w >= low) & (w <= high)
         near, found = near[mine], list[Flight]()
-        for origin, way in _cores(near, piece):
+        blocks = ceil((piece.high[1] - piece.low[1]) / _CORE)
+        for share in (np.arange(blocks) + 0.5) / blocks:
+            origin = (piece.low + [0.5, share] * (piece.high - piece.low)) @ axes
             if any(flight.reaches(origin) for flight in found):
                 continue
-            flight = _fitted(near, piece, origin, way, noise)
+            flight = _fitted(near, piece, origin, noise)
             if flight is not None:
                 found.append(flight)
                 yield flight
 
 
-def _cores(points: FloatArray, piece: _Piece) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Places on a piece, shape (2,) [m], and the way up there: of some beside each other the one most like a plane.
-
-    The way up is that of the plane through what is around: treads lean a plane along the slope, never across it.
-    """
-    side, width = np.array([-piece.way[1], piece.way[0]]), piece.high[1] - piece.low[1]
-    order = np.argsort(points[:, :2] @ side)
-    points, v = points[order], points[order, :2] @ side
-    blocks = ceil(width / _CORE)
-    asides = piece.low[1] + width * (np.arange(_TRIES * blocks) + 0.5) / (_TRIES * blocks)
-    for block in asides.reshape(blocks, _TRIES):
-        least, best = np.inf, None
-        for aside in block:
-            origin = 0.5 * (piece.low[0] + piece.high[0]) * piece.way + aside * side
-            beside = points[np.searchsorted(v, aside - _DISC) : np.searchsorted(v, aside + _DISC)]
-            near = beside[np.hypot(*(beside[:, :2] - origin).T) <= _DISC]
-            if len(near) < _BESIDE:
-                continue
-            design = np.column_stack([near[:, :2] - origin, np.ones(len(near))])
-            plane, _, rank, _ = np.linalg.lstsq(design, near[:, 2], rcond=None)
-            rest = float(((near[:, 2] - design @ plane) ** 2).mean())
-            steep = float(np.hypot(plane[0], plane[1]))
-            if rank == 3 and _SHALLOW <= steep <= _STEEP and rest < least:
-                least, best = rest, (origin, plane[:2] / steep)
-        if best is not None:
-            yield best
-
-
-def _fitted(points: FloatArray, piece: _Piece, origin: FloatArray, way: FloatArray, noise: float) -> Flight | None:
-    """The flight through `origin`, shape (2,) [m], if there is one whose way up is about `way`, shape (2,)."""
-    half, near = 0.5 * (piece.high[0] - piece.low[0]), points - np.append(origin, 0.0)
+def _fitted(points: FloatArray, piece: _Piece, origin: FloatArray, noise: float) -> Flight | None:
+    """The flight through `origin`, shape (2,) [m], if there is one whose way up is about that of its piece."""
+    half, near, way = 0.5 * (piece.high[0] - piece.low[0]), points - np.append(origin, 0.0), piece.way
     u, v = near[:, :2] @ way, near[:, :2] @ np.array([-way[1], way[0]])
     near, u, v = (part[np.abs(u) <= half + _AROUND] for part in (near, u, v))
     core = np.abs(v) <= 0.5 * _CORE
