@@ -154,7 +154,6 @@ def _found(points: FloatArray, noise: float, spacing: float, config: PerceptionC
     ground, kept = np.zeros(len(points), dtype=bool), chosen_rows(cured.points, ~cured.stray)
     ground[~cured.stray] = segment(kept, config, noise=cured.local[~cured.stray])[0]
     return_explained(points, ~ground, ground, cured, spacing, _APART)
-    _settle_stairs(points, ground, cured)
     stray = cured.stray | find_lifted(cured.points, ground, noise, spacing)
     return CuredGround(_in_steps(cured)._replace(stray=stray), ground & ~stray, as_it_was=False)
 
