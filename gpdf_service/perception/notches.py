@@ -267,18 +267,7 @@ def _both_sides(
 
     They are 0 away where one of the two is more than `most` away, or both more than a `span` apart.
     """
-    ahead, on = _next_known(height, x, y, dx, dy, most)
-    behind, back = _next_known(height, x, y, -dx, -dy, min(most, span - on)) if on > 0 else (ahead, 0)
+    at, by, back_by = (float(x), float(y)), (float(dx), float(dy)), (float(-dx), float(-dy))
+    ahead, on = _next_on(height, at, by, most)
+    behind, back = _next_on(height, at, back_by, min(most, span - on)) if on > 0 else (ahead, 0)
     return ahead, on if back > 0 else 0, behind, back
-
-
-@njit(cache=True, nogil=True)
-def _next_known(height: Float32Array, x: int, y: int, dx: int, dy: int, most: int) -> tuple[np.float32, int]:
-    """Height of the next known cell from (x, y) on in a direction, and how many cells away; 0 if none within `most`."""
-    for step in range(1, most + 1):
-        u, v = x + step * dx, y + step * dy
-        if not (0 <= u < height.shape[0] and 0 <= v < height.shape[1]):
-            break
-        if not np.isnan(height[u, v]):
-            return height[u, v], step
-    return np.float32(np.nan), 0

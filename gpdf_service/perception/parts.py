@@ -374,7 +374,7 @@ def _over_and_open(layers: Layers, _: BoolArray, room: BoolArray, main: BoolArra
     return under, over, room & ~_holding(layers, ours)[layers.cell]
 
 
-def _holding(layers: Layers, ours: BoolArray) -> BoolArray:
+def _holding(layers: Layers, ours: BoolArray | IntArray) -> BoolArray:
     """Which cells hold one of `ours`, shape (cells,)."""
     holds = np.zeros(len(layers.start) - 1, dtype=bool)
     holds[layers.cell[ours]] = True
@@ -383,10 +383,9 @@ def _holding(layers: Layers, ours: BoolArray) -> BoolArray:
 
 def _beside(layers: Layers, ours: IntArray, cells: IntArray) -> FloatArray:
     """Height of the highest of the nodes `ours` in the nearest cell to each of the `cells` that holds one [m], (m,)."""
-    high, holds = np.zeros(len(layers.start) - 1), np.zeros(layers.shape, dtype=bool)
+    high = np.zeros(len(layers.start) - 1)
     high[layers.cell[ours]] = layers.height[ours]  # the highest: nodes are sorted by their height in a cell
-    holds.ravel()[layers.cell[ours]] = True
-    made: FloatArray = high[nearest_of(holds)[1].ravel()[cells]]
+    made: FloatArray = high[nearest_of(_holding(layers, ours).reshape(layers.shape))[1].ravel()[cells]]
     return made
 
 
