@@ -40,7 +40,7 @@ def complete(
     """
     config, as_map = site.config, partial(HeightMap, seen.origin, seen.cell_width)
 
-    def stood(box: Box, beside: Float32Array) -> tuple[FloatArray, BoolArray, BoolArray]:
+    def stood(box: Box, beside: Float32Array) -> tuple[FloatArray, BoolArray, BoolArray, BoolArray]:
         cell, z, lowest = held(box)
         return lowest, *standing(beside, lowest, cell, z, seen.cell_width)
 
@@ -48,8 +48,8 @@ def complete(
         cell, z, _ = held(box)
         return guard_edges(as_map(height, state), lowest, cell, z, config)
 
-    lowest, material, at_floor = grid.around("stood", 0, stood, near.height, points=True)
-    filled = fill_holes(seen, grid, near, (material, at_floor), voids, config, site.noise)
+    lowest, thing, at_floor, over = grid.around("stood", 0, stood, near.height, points=True)
+    filled = fill_holes(seen, grid, near, (thing, at_floor, over), voids, config, site.noise)
     own = filled.height, filled.state, lowest
     stair, guarded = grid.around("edges", notch_reach(seen), edges, *own, points=True)
     if site.rays is not None:

@@ -55,8 +55,9 @@ _ROUNDING = float(np.finfo(np.float64).eps)
 MAX_HOLE_RADIUS = 1.0
 """[m] A hole is filled if no place in it is further from seen ground: a scanner's blind spot, the shadow of a desk."""
 
-Material = tuple[BoolArray, BoolArray]
-"""Cells with points that may be a thing's, and those of them where they lie at the ground's height; see `standing`."""
+Material = tuple[BoolArray, BoolArray, BoolArray]
+"""Cells with points that may be a thing's, and those of them where all lie at the ground's height, and where some lie
+over it; see `standing`."""
 Voids = tuple[NDArray[Any], ...]
 """Where the scanner saw through a level's unknown cells, where they are pits, its walls, and where one is seen under
 ground; see `find_voids`."""
@@ -102,8 +103,8 @@ def fill_holes(
         made = fill_notches(replace(surface, height=height, state=state), beneath, stands, config)
         return made.height, made.state
 
-    held, at_floor = material
-    given = height, state, seen_through | pit, held
+    held, at_floor, over = material
+    given = height, state, seen_through | pit, over
     height, state = grid.around("notches", notches_reach(surface, config), notched, *given)
     known = state != UNKNOWN
     ends = _no_holes(grid, surface, near, voids)
@@ -123,7 +124,7 @@ def _no_holes(grid: Grid, surface: HeightMap, near: Nearest, voids: Voids) -> Bo
 
 
 def standing(beside: Float32Array, lowest: FloatArray, cell: IntArray, z: FloatArray, cell_width: float) -> Material:
-    """Cells with points under a ceiling's height, and those of them where all lie at the height of the ground `beside`.
+    """Cells with points under a ceiling's height; where all lie as high as the ground `beside`; where some lie over it.
 
     Args:
         beside: Height of the nearest seen ground [m], shape (nx, ny).
@@ -135,7 +136,7 @@ def standing(beside: Float32Array, lowest: FloatArray, cell: IntArray, z: FloatA
     ground = beside.astype(np.float64)
     over = extent_within(cell, z, ground + cell_width, under(ground + CEILING))[0]
     material = lowest < ground + CEILING
-    return material, material & (lowest >= ground - cell_width) & np.isinf(over)
+    return material, material & (lowest >= ground - cell_width) & np.isinf(over), np.isfinite(over)
 
 
 def find_voids(

@@ -9,7 +9,7 @@ from numba import njit
 from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.ground.foot import SECTORS, SOLE, STRIDE
+from gpdf_service.ground.foot import SOLE, STRIDE
 from gpdf_service.ground.footing import ROUGH, flights
 from gpdf_service.kernel_cache import lean
 from gpdf_service.tiles.boxes import window
@@ -61,7 +61,7 @@ def fill_notches(surface: HeightMap, beneath: BoolArray, stands: BoolArray, conf
     )
     cells, discs = np.ascontiguousarray(np.argwhere(asked)), (_disc(2.0 * radius), _disc(radius))
     rise = np.where(_as_wide_as_a_sole(~np.isnan(own), width), config.stair_step, 0.0)
-    own[tuple(cells.T)] = _treads(own, rise, cells, *discs, 0.5 * width)
+    own[tuple(cells.T)] = _treads(own, rise, cells, *discs, (0.5 * width, config.stair_step))
     height[box], state[box][known != ~np.isnan(own)] = own, INFERRED
     return replace(surface, height=height, state=state)
 
@@ -112,28 +112,40 @@ def _from_the_side(treads: BoolArray, below: BoolArray, cell_width: float) -> Bo
 
 @njit(cache=True, nogil=True)
 def _treads(
-    height: Float32Array, rise: FloatArray, cells: IntArray, near: IntArray, disc: IntArray, same: float
+    height: Float32Array, rise: FloatArray, cells: IntArray, near: IntArray, disc: IntArray, limits: tuple[float, float]
 ) -> Float32Array:
     """Height of the tread of each of the `cells`, shape (k, 2), NaN where none closes over it.
 
     That is the nearest one, the lower of equally near ones, such that every `disc` (d, 2) that holds the cell holds a
     known cell that is as high, or up to its `rise` [m], (nx, ny), higher. It is one of those `near` (n, 2), nearest
-    first.
+    first. The `limits` are by how much heights of one tread differ, and those of two beside each other: from none is
+    there a higher step to the ground that touches the cell.
     """
-    (nx, ny), made = height.shape, np.full(len(cells), np.float32(np.nan), np.float32)
+    (nx, ny), made, (same, step) = height.shape, np.full(len(cells), np.float32(np.nan), np.float32), limits
     for k in range(len(cells)):
         x, y = cells[k]
-        found = 0
+        found, lowest = 0, _highest_at(height, x, y) - step - same
         for one in range(len(near)):
             dx, dy = near[one]
             if 0 < found < dx * dx + dy * dy:
                 break
             u, v = x + dx, y + dy
-            if not (0 <= u < nx and 0 <= v < ny) or np.isnan(height[u, v]) or height[u, v] >= made[k]:
+            if not (0 <= u < nx and 0 <= v < ny) or not lowest <= height[u, v] or height[u, v] >= made[k]:
                 continue
             if _closes(height, x, y, disc, height[u, v] - same, height[u, v] + same + rise[u, v]):
                 made[k], found = height[u, v], dx * dx + dy * dy
     return made
+
+
+@lean()
+def _highest_at(height: Float32Array, x: int, y: int) -> float:
+    """Height of the highest ground that touches a cell [m], -inf where none does."""
+    highest = -np.inf
+    for u in range(max(0, x - 1), min(height.shape[0], x + 2)):
+        for v in range(max(0, y - 1), min(height.shape[1], y + 2)):
+            if height[u, v] > highest:
+                highest = height[u, v]
+    return highest
 
 
 @njit(cache=True, nogil=True)
@@ -156,31 +168,50 @@ def _closes(height: Float32Array, x: int, y: int, disc: IntArray, low: float, hi
 def _fill_bitten(height: Float32Array, asked: BoolArray, stands: BoolArray, cell_width: float) -> None:
     """Fill what a shadow bites out of a flight: uphill and downhill there is ground, and the tread itself beside.
 
-    Uphill may be any way; of several treads the nearest one counts.
+    Uphill may be any way; ways are half a cell apart where the longest bite ends. Of several treads that which was seen
+    furthest along its way counts.
     """
-    depth, seen = int(NOTCH_DEPTH / cell_width), height.copy()
+    most, half, seen = int(NOTCH_SPAN / cell_width) + 1, np.float32(0.5 * cell_width), height.copy()
+    turn = np.pi * np.arange(0.0, 2.0, 0.5 / np.ceil(np.pi * most))
+    ways, depth, sole = np.column_stack((np.cos(turn), np.sin(turn))), int(NOTCH_DEPTH / cell_width), SOLE / cell_width
     for x in range(height.shape[0]):
         for y in range(height.shape[1]):
             if not (asked[x, y] and np.isnan(height[x, y])) or stands[x, y]:
                 continue
-            nearest = depth + 1
-            for k in range(2 * SECTORS):
-                across = np.cos(np.pi * k / SECTORS), np.sin(np.pi * k / SECTORS)
-                tread, beside = _next_on(seen, (x, y), across, nearest - 1)
-                if beside > 0 and _is_bitten(seen, stands, (x, y), across, beside, cell_width):
-                    height[x, y], nearest = tread, beside
+            longest = 0
+            for k in range(len(ways)):
+                across = ways[k, 0], ways[k, 1]
+                tread, beside = _next_on(seen, (x, y), across, depth)
+                straight = max(1, round(sole), beside)
+                long = _as_high(seen, (x, y), across, (beside, most), half) if beside > 0 else 0
+                if long > max(longest, straight) and _is_bitten(
+                    seen, stands, (x, y), across, (beside, straight), cell_width
+                ):
+                    height[x, y], longest = tread, long
+
+
+@lean()
+def _as_high(height: Float32Array, at: Place, by: Place, cells: tuple[int, int], half: np.float32) -> int:
+    """Length of a row of cells as high as its first one, within `half` [m]: from so many `cells` on to so many."""
+    (first, most), tread = cells, _on(height, at, by, cells[0])
+    last = first
+    while last < most and abs(_on(height, at, by, last) - tread) <= half:
+        last += 1
+    return last - first
 
 
 @lean()
 def _is_bitten(
-    height: Float32Array, stands: BoolArray, at: Place, across: Place, beside: int, cell_width: float
+    height: Float32Array, stands: BoolArray, at: Place, across: Place, row: tuple[int, int], cell_width: float
 ) -> bool:
-    """Whether a cell is between higher and lower ground, on the tread that is so many cells beside it.
+    """Whether a cell is between higher and lower ground, on the tread of a `row` of cells beside it.
 
-    At both ends the flight beside is as high. A tread is as wide as a sole: a stringer is none. Nothing stands between
-    the two, and beyond the cell something does before the ground is lower: an open side has no more treads.
+    The row begins so many cells across, and is so many long: as wide as a sole, as a stringer is no tread, and as long
+    as what is inferred. At both of its ends the flight is as high as at the cell, uphill and downhill: it goes straight
+    on. Nothing stands between the cell and the row. Beyond the cell something does, or there is ground that is no
+    lower: an open side has no more treads.
     """
-    most, half = int(NOTCH_SPAN / cell_width) + 1, np.float32(0.5 * cell_width)
+    most, half, (beside, straight) = int(NOTCH_SPAN / cell_width) + 1, np.float32(0.5 * cell_width), row
     away, along, back = (-across[0], -across[1]), (-across[1], across[0]), (across[1], -across[0])
     (one, on), (other, off) = _next_on(height, at, along, most), _next_on(height, at, back, most)
     run, low, high, tread = (on + off) * cell_width, min(one, other), max(one, other), _on(height, at, across, beside)
@@ -189,13 +220,14 @@ def _is_bitten(
     if not low + half < tread < high - half or _any_on(stands, at, across, beside):
         return False
     beyond, far = _next_on(height, at, away, most)
-    if far > 0 and beyond < tread - half and not _any_on(stands, at, away, far):
+    if not (far > 0 and beyond >= tread - half) and not _any_on(stands, at, away, far if far > 0 else most):
         return False
-    there = at[0] + beside * across[0], at[1] + beside * across[1]
-    for k in range(1, max(1, round(SOLE / cell_width)) + 1):
-        if not abs(_on(height, there, across, k) - tread) <= half:
+    for cells in (beside, beside + straight):
+        there = at[0] + cells * across[0], at[1] + cells * across[1]
+        ahead = _ends_alike(height, there, along, on, one, half)
+        if not (ahead and _ends_alike(height, there, back, off, other, half)):
             return False
-    return _ends_alike(height, there, along, on, one, half) and _ends_alike(height, there, back, off, other, half)
+    return True
 
 
 @lean()
@@ -230,7 +262,8 @@ def _any_on(cells: BoolArray, at: Place, by: Place, count: int) -> bool:
     """Whether any of the cells before the one that is so many cells on is among the `cells`."""
     found = False
     for k in range(1, count):
-        found |= cells[int(np.round(at[0] + k * by[0])), int(np.round(at[1] + k * by[1]))]
+        u, v = int(np.round(at[0] + k * by[0])), int(np.round(at[1] + k * by[1]))
+        found |= 0 <= u < cells.shape[0] and 0 <= v < cells.shape[1] and cells[u, v]
     return found
 
 

@@ -61,14 +61,16 @@ def test_beyond_the_open_side_of_a_flight_nothing_is_inferred():
     assert (filled(height)[1][:, 21:24] == UNKNOWN).all()
 
 
-@pytest.mark.parametrize(("wide", "filled_up"), [(1, False), (3, True)])
+@pytest.mark.parametrize(("wide", "filled_up"), [(1, False), (5, True)])
 def test_a_shadow_is_filled_as_high_as_the_tread_beside_it_but_not_as_a_stringer(wide, filled_up):
-    """A floor, a flight up along y, and between them, beside a shadow, a tread of so many cells."""
+    """A floor, a flight up along y, and between them, beside a shadow before a wall, a tread of so many cells."""
     height = np.zeros((24, 26))
     height[:, 14:], height[:, 18:] = 0.4, 0.6
     height[8:, 8:14] = np.nan
     height[9 - wide : 9, 8:14] = 0.25
-    made, state = filled(height)
+    wall = np.zeros(height.shape, dtype=bool)
+    wall[16:] = True
+    made, state = filled(height, stands=wall)
     assert (state[10:13, 10:12] == (INFERRED if filled_up else UNKNOWN)).all()
     assert not filled_up or np.allclose(made[10:13, 10:12], 0.25)
 
@@ -85,10 +87,17 @@ def test_a_shadow_at_the_wall_beside_a_flight_is_filled_at_any_angle_and_none_at
     height[shadow | beside] = np.nan
     made, state = filled(height, stands=beside & wall)
     inferred = state[shadow] == INFERRED
-    assert (inferred.mean() > 0.6) if wall else (inferred.mean() < 0.1)  # in its corners discs close
+    assert (inferred.mean() > 0.7) if wall else (inferred.mean() < 0.1)  # in its corners discs close
     off = np.abs(made - tread)[shadow][inferred]
     assert off.max() < 1.01 * RISE
-    assert not wall or (off < 1e-6).mean() > 0.8
+    assert not wall or (off < 1e-6).mean() > 0.85
+
+
+def test_a_riser_s_cell_is_no_two_steps_under_the_ground_beside_it():
+    height = flight()
+    height[2 * DEPTH, 10], height[2 * DEPTH + 1, 10] = np.nan, 3 * RISE  # between three treads, as near to each
+    made, _ = filled(height)
+    np.testing.assert_allclose(made[2 * DEPTH, 10], 2 * RISE, atol=1e-6)
 
 
 @pytest.mark.parametrize("change", ["floor", "landing"])

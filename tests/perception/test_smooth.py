@@ -131,7 +131,7 @@ def fill_gaps(height, noise=0.0):
     nothing = np.zeros(height.shape, dtype=bool)
     seen, nowhere = ground(height), (nothing,) * 4
     grid, near = new_grid(height.shape), nearest_seen(seen)
-    return fill_holes(seen, grid, near, (nothing, nothing), nowhere, PerceptionConfig(), noise).height
+    return fill_holes(seen, grid, near, 3 * (nothing,), nowhere, PerceptionConfig(), noise).height
 
 
 @pytest.mark.parametrize("noise", [0.0, NOISE])

@@ -36,7 +36,7 @@ def place(rng, rough=0.003):
 def fill(grid, height, *others):
     state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
     seen, (material, at_floor, *voids) = HeightMap(np.zeros(2), WIDTH, height, state), others
-    return fill_holes(seen, grid, nearest_seen(seen), (material, at_floor), voids, PerceptionConfig())
+    return fill_holes(seen, grid, nearest_seen(seen), (material, at_floor, material), voids, PerceptionConfig())
 
 
 @pytest.mark.parametrize("seed", range(12))
