@@ -28,8 +28,9 @@ FLIGHT = 2.0 * STRIDE
 BENEATH_SHARE = 0.5
 """[-] Of a flight's seen treads: where under more of them the room below was seen, it was seen from its side."""
 
-Place = tuple[float, float]
-"""Along both axes of a grid [cells]; or a direction."""
+Cell = tuple[int, int]
+Way = tuple[float, float]
+"""A direction along both axes of a grid [cells]."""
 
 
 def fill_notches(surface: HeightMap, beneath: BoolArray, stands: BoolArray, config: PerceptionConfig) -> HeightMap:
@@ -191,7 +192,7 @@ def _fill_bitten(height: Float32Array, asked: BoolArray, stands: BoolArray, cell
 
 
 @lean()
-def _as_high(height: Float32Array, at: Place, by: Place, cells: tuple[int, int], half: np.float32) -> int:
+def _as_high(height: Float32Array, at: Cell, by: Way, cells: tuple[int, int], half: np.float32) -> int:
     """Length of a row of cells as high as its first one, within `half` [m]: from so many `cells` on to so many."""
     (first, most), tread = cells, _on(height, at, by, cells[0])
     last = first
@@ -202,7 +203,7 @@ def _as_high(height: Float32Array, at: Place, by: Place, cells: tuple[int, int],
 
 @lean()
 def _is_bitten(
-    height: Float32Array, stands: BoolArray, at: Place, across: Place, row: tuple[int, int], cell_width: float
+    height: Float32Array, stands: BoolArray, at: Cell, across: Way, row: tuple[int, int], cell_width: float
 ) -> bool:
     """Whether a cell is between higher and lower ground, on the tread of a `row` of cells beside it.
 
@@ -223,7 +224,7 @@ def _is_bitten(
     if not (far > 0 and beyond >= tread - half) and not _any_on(stands, at, away, far if far > 0 else most):
         return False
     for cells in (beside, beside + straight):
-        there = at[0] + cells * across[0], at[1] + cells * across[1]
+        there = _further(at, across, cells)
         ahead = _ends_alike(height, there, along, on, one, half)
         if not (ahead and _ends_alike(height, there, back, off, other, half)):
             return False
@@ -231,7 +232,7 @@ def _is_bitten(
 
 
 @lean()
-def _ends_alike(height: Float32Array, at: Place, along: Place, cells: int, end: np.float32, most: np.float32) -> bool:
+def _ends_alike(height: Float32Array, at: Cell, along: Way, cells: int, end: np.float32, most: np.float32) -> bool:
     """Whether ground so many cells on, or one more or less, is as high as an `end`, within `most` [m]."""
     alike = False
     for k in range(cells - 1, cells + 2):
@@ -240,15 +241,21 @@ def _ends_alike(height: Float32Array, at: Place, along: Place, cells: int, end: 
 
 
 @lean()
-def _on(height: Float32Array, at: Place, by: Place, cells: int) -> np.float32:
+def _further(at: Cell, by: Way, cells: int) -> Cell:
+    """The cell that is so many cells on in a direction, wherever the grid begins."""
+    return at[0] + int(np.round(cells * by[0])), at[1] + int(np.round(cells * by[1]))
+
+
+@lean()
+def _on(height: Float32Array, at: Cell, by: Way, cells: int) -> np.float32:
     """Height so many cells from a place on in a direction [m], NaN where none is known."""
-    u, v = int(np.round(at[0] + cells * by[0])), int(np.round(at[1] + cells * by[1]))
+    u, v = _further(at, by, cells)
     inside = 0 <= u < height.shape[0] and 0 <= v < height.shape[1]
     return height[u, v] if inside else np.float32(np.nan)
 
 
 @lean()
-def _next_on(height: Float32Array, at: Place, by: Place, most: int) -> tuple[np.float32, int]:
+def _next_on(height: Float32Array, at: Cell, by: Way, most: int) -> tuple[np.float32, int]:
     """Height of the next known cell on a line [m], and how many cells away; 0 if there is none within `most`."""
     for cells in range(1, most + 1):
         found = _on(height, at, by, cells)
@@ -258,11 +265,11 @@ def _next_on(height: Float32Array, at: Place, by: Place, most: int) -> tuple[np.
 
 
 @lean()
-def _any_on(cells: BoolArray, at: Place, by: Place, count: int) -> bool:
+def _any_on(cells: BoolArray, at: Cell, by: Way, count: int) -> bool:
     """Whether any of the cells before the one that is so many cells on is among the `cells`."""
     found = False
     for k in range(1, count):
-        u, v = int(np.round(at[0] + k * by[0])), int(np.round(at[1] + k * by[1]))
+        u, v = _further(at, by, k)
         found |= 0 <= u < cells.shape[0] and 0 <= v < cells.shape[1] and cells[u, v]
     return found
 
@@ -300,7 +307,7 @@ def _both_sides(
 
     They are 0 away where one of the two is more than `most` away, or both more than a `span` apart.
     """
-    at, by, back_by = (float(x), float(y)), (float(dx), float(dy)), (float(-dx), float(-dy))
+    at, by, back_by = (x, y), (float(dx), float(dy)), (float(-dx), float(-dy))
     ahead, on = _next_on(height, at, by, most)
     behind, back = _next_on(height, at, back_by, min(most, span - on)) if on > 0 else (ahead, 0)
     return ahead, on if back > 0 else 0, behind, back
