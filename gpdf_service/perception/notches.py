@@ -54,7 +54,8 @@ def fill_notches(surface: HeightMap, beneath: BoolArray, stands: BoolArray, conf
     height, state = surface.height.copy(), surface.state.copy()
     own, known, flight = np.ascontiguousarray(height[box]), surface.state[box] != UNKNOWN, flight[box]
     below, radius = beneath[box], 0.5 * config.widest_gap / width
-    closed, narrow = (nearest_of(nearest_of(known)[0] > half)[0] > half for half in (radius, 0.5 * SOLE / width))
+    away = nearest_of(known)[0]
+    closed, narrow = (nearest_of(away > half)[0] > half for half in (radius, 0.5 * SOLE / width))
     _fill_bitten(own, flight & ~below, np.ascontiguousarray(stands[box]), width)
     asked = closed & np.isnan(own) & flight
     asked &= (

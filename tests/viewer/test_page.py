@@ -78,8 +78,8 @@ def test_a_path_is_drawn_before_the_room_along_it_is_known(operator, monkeypatch
     assert asked.wait(60)
     assert operator.page.plans.paths.drawn == ("line_plan",)
     go.set()
-    until(lambda: path_on_screen(operator) is not None)
-    assert operator.page.plans.paths.drawn == ("line_plan", "sweep", "body")
+    until(lambda: operator.page.plans.paths.drawn == ("line_plan", "sweep", "body"))
+    assert path_on_screen(operator) is not None
     assert operator.errors == []
 
 
@@ -93,13 +93,13 @@ def test_the_words_of_an_answer_wait_for_nothing_that_is_drawn(operator, monkeyp
             return was(*args, **more)
 
         monkeypatch.setattr(whose, name, noted)
+
+    def of_answer():  # before, "Planning …" may be drawn
+        return [name for name, words in sent if "of clearance everywhere" in words]
+
     types(operator, "0.9, 0.9", "5, 3")
-    until(lambda: path_on_screen(operator) is not None)
-    of_answer = [
-        name for name, words in sent if "of clearance everywhere" in words
-    ]  # before, "Planning …" may be drawn
-    assert of_answer[0] == "flush"
-    assert "add_line_segments" in of_answer
+    until(lambda: "add_line_segments" in of_answer())
+    assert of_answer()[0] == "flush"
 
 
 def test_who_waits_for_a_plan_sees_where_it_will_lead_and_no_old_path(operator, monkeypatch):
