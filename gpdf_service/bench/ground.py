@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gpdf_service.bench.hard_clouds import HOUSE, TURNS, hall_rows, spiral_rows, turned_house
+from gpdf_service.bench.hard_clouds import HOUSE, HOUSE_TURNS, TURNS, hall_rows, spiral_rows, turned_house
 from gpdf_service.bench.houses import house_rows
 from gpdf_service.bench.places import island_rows, label_rows, land_rows, path_rows
 from gpdf_service.bench.report import Row, each, show
@@ -97,7 +97,7 @@ def _hall(args: argparse.Namespace) -> Iterator[Row]:
     turns = TURNS if args.count is None else min(args.count, TURNS)
     yield from hall_rows(args.data, turns, args.seed)
     if (args.data / HOUSE).exists():
-        yield turned_house(args.data, turns)
+        yield turned_house(args.data, HOUSE_TURNS if args.count is None else args.count, args.seed)
 
 
 def _spiral(args: argparse.Namespace) -> Iterator[Row]:

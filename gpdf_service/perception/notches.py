@@ -31,6 +31,8 @@ BENEATH_SHARE = 0.5
 Cell = tuple[int, int]
 Way = tuple[float, float]
 """A direction along both axes of a grid [cells]."""
+Told = tuple[BoolArray, BoolArray]
+"""Cells in which something stands, and those under which something was seen, each of shape (nx, ny)."""
 
 
 def fill_notches(surface: HeightMap, beneath: BoolArray, stands: BoolArray, config: PerceptionConfig) -> HeightMap:
@@ -54,9 +56,9 @@ def fill_notches(surface: HeightMap, beneath: BoolArray, stands: BoolArray, conf
     height, state = surface.height.copy(), surface.state.copy()
     own, known, flight = np.ascontiguousarray(height[box]), surface.state[box] != UNKNOWN, flight[box]
     below, radius = beneath[box], 0.5 * config.widest_gap / width
-    away = nearest_of(known)[0]
+    _fill_bitten(own, flight, (np.ascontiguousarray(stands[box]), np.ascontiguousarray(below)), width)
+    away = nearest_of(~np.isnan(own))[0]
     closed, narrow = (nearest_of(away > half)[0] > half for half in (radius, 0.5 * SOLE / width))
-    _fill_bitten(own, flight & ~below, np.ascontiguousarray(stands[box]), width)
     asked = closed & np.isnan(own) & flight
     asked &= (
         ~below | (narrow & _at_risers(own, asked, int(SOLE / width))) | _from_the_side(known & flight, below, width)
@@ -167,18 +169,18 @@ def _closes(height: Float32Array, x: int, y: int, disc: IntArray, low: float, hi
 
 
 @njit(cache=True, nogil=True)
-def _fill_bitten(height: Float32Array, asked: BoolArray, stands: BoolArray, cell_width: float) -> None:
+def _fill_bitten(height: Float32Array, asked: BoolArray, told: Told, cell_width: float) -> None:
     """Fill what a shadow bites out of a flight: uphill and downhill there is ground, and the tread itself beside.
 
-    Uphill may be any way; ways are half a cell apart where the longest bite ends. Of several treads that which was seen
-    furthest along its way counts.
+    Where something stands nothing is filled. Uphill may be any way; ways are half a cell apart where the longest bite
+    ends. Of several treads that which was seen furthest along its way counts.
     """
     most, half, seen = int(NOTCH_SPAN / cell_width) + 1, np.float32(0.5 * cell_width), height.copy()
     turn = np.pi * np.arange(0.0, 2.0, 0.5 / np.ceil(np.pi * most))
     ways, depth, sole = np.column_stack((np.cos(turn), np.sin(turn))), int(NOTCH_DEPTH / cell_width), SOLE / cell_width
     for x in range(height.shape[0]):
         for y in range(height.shape[1]):
-            if not (asked[x, y] and np.isnan(height[x, y])) or stands[x, y]:
+            if not (asked[x, y] and np.isnan(height[x, y])) or told[0][x, y]:
                 continue
             longest = 0
             for k in range(len(ways)):
@@ -187,7 +189,7 @@ def _fill_bitten(height: Float32Array, asked: BoolArray, stands: BoolArray, cell
                 straight = max(1, round(sole), beside)
                 long = _as_high(seen, (x, y), across, (beside, most), half) if beside > 0 else 0
                 if long > max(longest, straight) and _is_bitten(
-                    seen, stands, (x, y), across, (beside, straight), cell_width
+                    seen, told, (x, y), across, (beside, straight), cell_width
                 ):
                     height[x, y], longest = tread, long
 
@@ -204,15 +206,17 @@ def _as_high(height: Float32Array, at: Cell, by: Way, cells: tuple[int, int], ha
 
 @lean()
 def _is_bitten(
-    height: Float32Array, stands: BoolArray, at: Cell, across: Way, row: tuple[int, int], cell_width: float
+    height: Float32Array, told: Told, at: Cell, across: Way, row: tuple[int, int], cell_width: float
 ) -> bool:
     """Whether a cell is between higher and lower ground, on the tread of a `row` of cells beside it.
 
     The row begins so many cells across, and is so many long: as wide as a sole, as a stringer is no tread, and as long
     as what is inferred. At both of its ends the flight is as high as at the cell, uphill and downhill: it goes straight
     on. Nothing stands between the cell and the row. Beyond the cell something does, or there is ground that is no
-    lower: an open side has no more treads.
+    lower: an open side has no more treads. Nor has a cell under which the room beneath was seen, unless it was under
+    the row, too.
     """
+    (stands, below), there = told, _further(at, across, row[0])
     most, half, (beside, straight) = int(NOTCH_SPAN / cell_width) + 1, np.float32(0.5 * cell_width), row
     away, along, back = (-across[0], -across[1]), (-across[1], across[0]), (across[1], -across[0])
     (one, on), (other, off) = _next_on(height, at, along, most), _next_on(height, at, back, most)
@@ -221,11 +225,12 @@ def _is_bitten(
         return False
     if not low + half < tread < high - half or _any_on(stands, at, across, beside):
         return False
+    if below[at] and not _all_on(below, there, across, straight):
+        return False
     beyond, far = _next_on(height, at, away, most)
     if not (far > 0 and beyond >= tread - half) and not _any_on(stands, at, away, far if far > 0 else most):
         return False
-    for cells in (beside, beside + straight):
-        there = _further(at, across, cells)
+    for there in (_further(at, across, beside), _further(at, across, beside + straight)):
         ahead = _ends_alike(height, there, along, on, one, half)
         if not (ahead and _ends_alike(height, there, back, off, other, half)):
             return False
@@ -263,6 +268,15 @@ def _next_on(height: Float32Array, at: Cell, by: Way, most: int) -> tuple[np.flo
         if not np.isnan(found):
             return found, cells
     return np.float32(np.nan), 0
+
+
+@lean()
+def _all_on(cells: BoolArray, at: Cell, by: Way, count: int) -> bool:
+    """Whether a cell and all before the one that is so many cells on are among the `cells`."""
+    found = True
+    for k in range(count):
+        found &= cells[_further(at, by, k)]
+    return found
 
 
 @lean()
