@@ -150,14 +150,10 @@ def _with_tops(
     return nodes, made[nodes], _pieces(layers, nodes, layers.cell_width * float(np.tan(config.steepest)))
 
 
-@njit(cache=True, nogil=True)
 def _tops(raised: FloatArray, piece: IntArray) -> IntArray:
     """Of each piece the row of the node that is raised most, the last one of such, shape (pieces,)."""
-    made = np.full(piece.max() + 1, -1)
-    for i in range(len(piece)):
-        if made[piece[i]] < 0 or raised[i] >= raised[made[piece[i]]]:
-            made[piece[i]] = i
-    return made
+    order = np.lexsort((raised, piece))
+    return order[np.flatnonzero(np.diff(piece[order], append=-1))]
 
 
 def _raised(

@@ -41,7 +41,7 @@ def without_hidden(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> H
     shown = (room > 1.0) & (room <= MAX_HOLE_RADIUS / surface.cell_width) & (front <= room + 1.0)
     wide = ndimage.binary_dilation((surface.state != OBSERVED) & ~face, _BESIDE)
     asked = (surface.state == INFERRED) & wide
-    return without(surface, _discs(np.ascontiguousarray(np.argwhere(shown)), room, asked) & asked)
+    return without(surface, _discs(np.ascontiguousarray(np.argwhere(shown)), room, count_cells(asked)) & asked)
 
 
 def find_faces(surface: HeightMap, cell: IntArray, z: FloatArray, headroom: float) -> BoolArray:
@@ -87,19 +87,19 @@ def hidden_reach(surface: HeightMap) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _discs(centres: NDArray[np.int64], radius: FloatArray, asked: BoolArray) -> BoolArray:
+def _discs(centres: NDArray[np.int64], radius: FloatArray, asked: NDArray[np.int32]) -> BoolArray:
     """Cells nearer to any of the `centres`, shape (k, 2), than its `radius` [cells], shape (nx, ny), of those `asked`.
 
-    A disc in whose square no cell is asked for is passed over.
+    These are told by `count_cells`: a disc in whose square there is none is passed over.
     """
     nx, ny = radius.shape
-    covered, counts = np.zeros((nx, ny), np.bool_), count_cells(asked)
+    covered = np.zeros((nx, ny), np.bool_)
     for k in range(len(centres)):
         x, y = centres[k, 0], centres[k, 1]
         reach = radius[x, y]
         far = int(reach)
         left, right, near, behind = max(x - far, 0), min(x + far + 1, nx), max(y - far, 0), min(y + far + 1, ny)
-        if count_in(counts, left, right, near, behind) == 0:
+        if count_in(asked, left, right, near, behind) == 0:
             continue
         for u in range(left, right):
             for v in range(near, behind):

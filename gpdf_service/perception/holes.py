@@ -19,7 +19,6 @@ from gpdf_service.tiles.boxes import Box, highest_around, lowest_around, widened
 from gpdf_service.tiles.columns import by_cell
 from gpdf_service.tiles.layers import widest_cell
 from gpdf_service.tiles.nearest import nearest_of
-from gpdf_service.tiles.nodes import count_labels
 from gpdf_service.tiles.rows import extent_within, under
 from gpdf_service.tiles.surface import (
     INFERRED,
@@ -325,7 +324,7 @@ def _pieces_near(
         rim[: RING * (rows.start > 0)] = rim[label.shape[0] - RING * (rows.stop < nx) :] = True
         rim[:, : RING * (columns.start > 0)] = rim[:, label.shape[1] - RING * (columns.stop < ny) :] = True
         kinds = again[box], ends[box], rim, rim & changed[box]
-        asked, ended, cut, was = (count_labels(label.ravel(), kind.ravel(), count + 1) > 0 for kind in kinds)
+        asked, ended, cut, was = (np.bincount(label[kind], minlength=count + 1) > 0 for kind in kinds)
         asked[0] = False
         if not (asked & np.where(ended, was, cut)).any():
             again[box] |= asked[label]

@@ -19,12 +19,10 @@ from gpdf_service.tiles.nearest import nearest_of
 from gpdf_service.tiles.nodes import (
     components,
     extents_of,
-    heights_of,
     joined_to,
     nodes_over,
     plan_sums,
     rises_beside,
-    touched_by,
 )
 from gpdf_service.tiles.pieces import Pieces, find_pieces
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -93,7 +91,8 @@ def build_parts(
 
     def add(own: slice, label: IntArray, labels: int, room: BoolArray) -> FloatArray:
         plan = plan_sums(layers.cell[own], layers.shape[1], room, label, labels)
-        return np.column_stack([heights_of(label, layers.height[own], labels), plan])
+        height = np.bincount(label, layers.height[own], labels)
+        return np.column_stack([np.bincount(label, minlength=labels), height, plan])
 
     sums = np.pad(pieces.totals(name, add, room), ((0, 1), (0, 0)))
     size, depth = sums[:, 2].astype(np.int64), extents_of(sums[:, 2:], layers.cell_width)[1]
@@ -209,7 +208,7 @@ def _tables(
         rim = own & (np.bincount(a, minlength=len(own)) + np.bincount(b, minlength=len(own)) < 2 * len(HALF))
         inner, lies = rim.copy(), np.zeros(len(own), dtype=bool)
         for _ring in range(soles):
-            inner |= touched_by(a, b, own, inner)
+            inner[np.concatenate([a[inner[b]], b[inner[a]]])] = True
         rows = np.flatnonzero(inner)
         lies[rows] = nodes_over(rows, layers.cell, layers.height, ground, config.step_headroom)
         inner &= ~rim

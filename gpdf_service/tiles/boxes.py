@@ -48,6 +48,18 @@ def span(cells: BoolArray) -> tuple[int, int, int, int]:
     return left, right, near, far
 
 
+def over_blocks(values: NDArray[Any], side: int, end: np.ufunc, none: float) -> NDArray[Any]:
+    """The least or the greatest of the values, (nx, ny), in each block of `side` by `side` cells, as `end` tells.
+
+    A NaN counts for nothing; where there is nothing it is `none`.
+    """
+    nx, ny = (-(-cells // side) for cells in values.shape)
+    pad = [(0, -cells % side) for cells in values.shape]
+    blocks = np.pad(values, pad, constant_values=np.nan).reshape(nx, side, ny, side)
+    made: NDArray[Any] = end.reduce(blocks, axis=(1, 3), initial=none)
+    return made
+
+
 def widened(cells: BoolArray, by: int) -> BoolArray:
     """The cells and all within `by` cells of them along each axis."""
     made, box = np.zeros_like(cells), window(cells, by)

@@ -23,16 +23,14 @@ from gpdf_service.tiles.columns import (
     count_nodes,
     cut_columns,
     kth_beside,
-    nodes_in_box,
     runs_of,
     starts_spliced,
-    take_rest,
     tops_of_boards,
     values_spliced,
     write_nodes,
 )
 from gpdf_service.tiles.pairs import Columns, pairs_at
-from gpdf_service.tiles.rows import INDEX, bounds_of, cells_of, chosen_rows, rows_by_cell
+from gpdf_service.tiles.rows import INDEX, bounds_of, cells_of, chosen_rows, rows_by_cell, rows_of_runs
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 MIN_CELL = 0.05
@@ -223,12 +221,12 @@ class Layers:
 
     def taken(self, nodes: IntArray) -> Rest:
         """The rest of some nodes, whose numbers ascend."""
-        made = Rest(np.empty((len(nodes), 2)), *(np.empty(len(nodes)) for _ in Rest._fields[1:]))
-        low, high = (self.cell[nodes[[0, -1]]] // self.shape[1]).tolist() if len(nodes) else (0, -1)
+        low, high = (self.cell[nodes[[0, -1]]] // self.shape[1]).tolist() if len(nodes) else (0, 0)
+        parts = []
         for own, first, last in self.strips(low, high + 1):
             a, b = np.searchsorted(nodes, [first, last]).tolist()
-            take_rest(nodes[a:b] - first, own, Rest(*(each[a:b] for each in made)))
-        return made
+            parts.append([each.take(nodes[a:b] - first, axis=0) for each in own])
+        return Rest(*map(flat, zip(*parts, strict=True)))
 
     @property
     def columns(self) -> Columns:
@@ -313,7 +311,9 @@ def crop_layers(layers: Layers, box: Box) -> tuple[Layers, IntArray]:
     """The layers of a box of cells, and which nodes of all they are, shape (k,)."""
     rows, columns = box
     first, shape = (rows.start, columns.start), (rows.stop - rows.start, columns.stop - columns.start)
-    start, cell, nodes = nodes_in_box(layers.start, layers.shape[1], first, shape)
+    begin, end = (each.reshape(layers.shape)[box].ravel() for each in (layers.start[:-1], layers.start[1:]))
+    start, nodes = np.append(0, np.cumsum(end - begin)), rows_of_runs(begin, end)
+    cell = np.repeat(np.arange(len(begin)), end - begin)
     origin = layers.origin + layers.cell_width * np.array(first)
     own = cell, layers.height.take(nodes), layers.thickness.take(nodes), start, ()
     return Layers(origin, layers.cell_width, shape, *own, (layers, nodes)), nodes
