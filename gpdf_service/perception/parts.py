@@ -14,7 +14,7 @@ from gpdf_service.ground.foot import HALF_FOOT, SOLE, STRIDE
 from gpdf_service.perception.bumps import LANDING
 from gpdf_service.perception.strides import find_strides
 from gpdf_service.tiles.beside import Answer, Beside, Strips
-from gpdf_service.tiles.layers import HALF, Layers, Pairs, connect, steady
+from gpdf_service.tiles.layers import HALF, Layers, Pairs, connect, flat, steady
 from gpdf_service.tiles.nearest import nearest_of
 from gpdf_service.tiles.nodes import (
     components,
@@ -350,9 +350,10 @@ def _over_main(
     Further, which are lower over it than a storey, and which are level and no lower than that; shape (groups,).
     """
     layers, step, there = near.layers, config.max_step, parts.pieces.chosen("asked apart", asked[group])
-    (nodes,) = near.where("apart", near.each("nodes apart", np.logical_and, parts.keep, there))
+    keep = flat(parts.keep)
+    nodes = np.flatnonzero(keep & flat(there))
     height, own, middle = layers.height[nodes], group[parts.pieces.at(nodes)], np.zeros(len(asked))
-    ours = np.flatnonzero(np.concatenate(parts.keep) & np.concatenate(ground))
+    ours = np.flatnonzero(keep & flat(ground))
     rise = height - _beside(layers, ours, layers.cell[nodes])
     for k in np.flatnonzero(asked):
         middle[k] = np.median(height[own == k])
