@@ -113,7 +113,7 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "notches of flights": (_P + "holes", "fill_notches", _first),
     "strips at a flight's side": (_P + "notches", "_fill_bitten", lambda *_: None),
     "treads seen as lines": (_P + "notches", "_as_wide_as_a_sole", lambda known, _: known),
-    "walls of pits": (_P + "holes", "_walled_down", lambda surface, _: np.zeros(surface.state.shape, dtype=bool)),
+    "walls of pits": (_P + "holes", "walled_down", lambda surface, _: np.zeros(surface.state.shape, dtype=bool)),
     "blind spots": (_P + "rays", "_blind_spots", lambda _, asked, __: np.zeros_like(asked)),
     "holes that rays fell through": (_P + "rays", "_of_one_hole", lambda _, asked, *__: np.zeros_like(asked)),
     "shadows and edges of steps": (_P + "rays", "_steps_beside", _no_steps),

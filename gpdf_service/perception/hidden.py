@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from gpdf_service.ground.foot import HALF_FOOT
-from gpdf_service.perception.holes import CEILING, MAX_HOLE_RADIUS
-from gpdf_service.tiles.boxes import highest_around
+from gpdf_service.perception.holes import CEILING
+from gpdf_service.perception.voids import MAX_HOLE_RADIUS
+from gpdf_service.tiles.boxes import SIDES, highest_around
 from gpdf_service.tiles.nearest import nearest_of
 from gpdf_service.tiles.rows import extent_within
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, count_cells, count_in, without
@@ -17,8 +18,6 @@ from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 _FACE_REACH = 2
 """Cells within which the ground decides how high a point is."""
-_BESIDE = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=bool)
-"""The four neighbours of a cell, without itself."""
 
 
 def without_hidden(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> HeightMap:
@@ -39,7 +38,7 @@ def without_hidden(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> H
     clear = ((surface.state == OBSERVED) | top) & ~face
     room, front = nearest_of(clear)[0], nearest_of(face)[0]
     shown = (room > 1.0) & (room <= MAX_HOLE_RADIUS / surface.cell_width) & (front <= room + 1.0)
-    wide = ndimage.binary_dilation((surface.state != OBSERVED) & ~face, _BESIDE)
+    wide = ndimage.binary_dilation((surface.state != OBSERVED) & ~face, SIDES)
     asked = (surface.state == INFERRED) & wide
     return without(surface, _discs(np.ascontiguousarray(np.argwhere(shown)), room, count_cells(asked)) & asked)
 

@@ -24,14 +24,16 @@ from gpdf_service.perception.segment import LEAST_SCATTER
 from gpdf_service.perception.sheets import split_sheets
 from gpdf_service.perception.site import Made, Part, Site
 from gpdf_service.perception.strays import find_strays
+from gpdf_service.perception.voids import Voids
 from gpdf_service.tiles.beside import Beside, beside, beside_now
 from gpdf_service.tiles.boxes import Box, widened
 from gpdf_service.tiles.columns import unlike_cells
-from gpdf_service.tiles.layers import Layers, build_layers, cell_width_of, layer_gap, widest_cell
+from gpdf_service.tiles.layers import Layers, build_layers
 from gpdf_service.tiles.points import Points, points_of
 from gpdf_service.tiles.rows import chosen_rows, rows_by_cell, taken
 from gpdf_service.tiles.surface import HeightMap, Nearest, changed, first_cell, is_same_ground, nearest_seen, placed
 from gpdf_service.tiles.told import Grid, moved, new_grid, shared
+from gpdf_service.tiles.width import cell_width_of, layer_gap, widest_cell
 from gpdf_service.types import BoolArray, ByteArray, Float32Array, FloatArray
 
 ALONE = 0.25
@@ -211,7 +213,7 @@ def _make_level(site: Site, sheet: BoolArray, part: Part, before: Made | None) -
     surface, measured, both = was.level.surface, was.level.measured, was.level.edges
     if (grid.felt("voids", 0, *grid.known["voids"].given, points=True) | grid.other_answers("seen", "voids")).any():
         holds = partial(held_in, held.points, held.first, seen)
-        surface, guarded = complete(grid, seen, holds, grid.known["voids"].made, near, site)
+        surface, guarded = complete(grid, seen, holds, Voids(*grid.known["voids"].made), near, site)
         del near, holds
         if before is None:
             give_back(len(site.ground))

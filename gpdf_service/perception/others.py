@@ -15,11 +15,11 @@ from gpdf_service.fields.threads import run_beside, run_chunked
 from gpdf_service.ground.footing import flights, rings_of
 from gpdf_service.ground.level import OVERLAP, TALLEST, lowest_and_highest
 from gpdf_service.perception.cloud import Rows
-from gpdf_service.perception.holes import MAX_HOLE_RADIUS, find_rims, find_voids
 from gpdf_service.perception.ledges import find_ledges, ground_reach, ledge_reach
 from gpdf_service.perception.notches import FLIGHT
 from gpdf_service.perception.overhead import Columns, over_head, unseen_asks, unseen_beneath
 from gpdf_service.perception.site import Made, Site
+from gpdf_service.perception.voids import MAX_HOLE_RADIUS, find_rims, find_voids
 from gpdf_service.tiles.boxes import Box, widened, window
 from gpdf_service.tiles.columns import by_cell, runs_of, starts_spliced, take_out, unlike_cells, values_spliced
 from gpdf_service.tiles.rows import INDEX, between, extent_within, rows_by_cell, taken, under

@@ -14,6 +14,8 @@ from gpdf_service.types import BoolArray
 Box = tuple[slice, slice]
 """Rows and columns of a grid."""
 WHOLE: Box = (slice(None), slice(None))
+SIDES = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=bool)
+"""The four neighbours of a cell, without itself."""
 
 
 def corner_of(box: Box) -> tuple[int, int]:

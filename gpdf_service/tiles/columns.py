@@ -9,7 +9,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.fields.spacing import keep_least
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.tiles.rows import INDEX
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -331,68 +330,6 @@ def box_spliced(
         at, count = start[left] - start[cells[0]], start[right] - start[left]
         made[at : at + count] = fresh[used : used + count]
         used += count
-
-
-def column_floors(start: IntArray, order: IntArray, z: FloatArray, share: float) -> FloatArray:
-    """Height under which a `share` of the points of each column lies [m], shape (cells,); NaN in an empty one."""
-    floor = np.full(len(start) - 1, np.nan)
-    run_chunked(lambda a, b: _write_floors(start[a : b + 1], order, z, share, floor[a:b]), len(floor))
-    return floor
-
-
-@njit(cache=True, nogil=True)
-def _write_floors(start: IntArray, order: IntArray, z: FloatArray, share: float, floor: FloatArray) -> None:
-    for c in range(len(floor)):
-        count = start[c + 1] - start[c]
-        if count > 0:
-            at = int(share * count)
-            floor[c] = np.partition(z[order[start[c] : start[c + 1]]], at)[at]
-
-
-@njit(cache=True, nogil=True)
-def kth_beside(
-    points: FloatArray,
-    columns: tuple[IntArray, IntArray],
-    grid: tuple[FloatArray, float, tuple[int, int]],
-    picked: IntArray,
-    k: int,
-    distance: FloatArray,
-) -> None:
-    """Distance of each `picked` row to its `k`-th neighbour in its column and those around [m].
-
-    What is no further than a column is wide is exact, for all columns are looked at that may hold a nearer one.
-
-    Args:
-        points: Shape (n, 3) [m].
-        columns: Where each column begins, and the rows in that order.
-        grid: Lower corner [m], width [m] and shape of the columns.
-        picked: Rows, shape (m,).
-        k: Which neighbour.
-        distance: Where it is written, shape (m,).
-    """
-    (start, order), (corner, width, shape), near = columns, grid, np.empty(k + 1)
-    for i in range(len(picked)):
-        row = picked[i]
-        at_x, at_y = (points[row, 0] - corner[0]) / width, (points[row, 1] - corner[1]) / width
-        x, y = int(np.floor(at_x)), int(np.floor(at_y))
-        near[:] = np.inf
-        for dx, dy in _OWN_FIRST:
-            u, v = x + dx, y + dy
-            if not (0 <= u < shape[0] and 0 <= v < shape[1]):
-                continue
-            off = max(u - at_x, at_x - u - 1.0, 0.0) ** 2 + max(v - at_y, at_y - v - 1.0, 0.0) ** 2
-            if off * width**2 >= near[k]:
-                continue
-            for e in range(start[u * shape[1] + v], start[u * shape[1] + v + 1]):
-                other, square = order[e], 0.0
-                for axis in range(3):
-                    square += (points[other, axis] - points[row, axis]) ** 2
-                keep_least(near, square)
-        distance[i] = np.sqrt(near[k])
-
-
-_OWN_FIRST = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (-1, 1), (1, -1), (1, 1))
-"""A column and those around it, the one that likely holds the nearest neighbours first: most others are passed over."""
 
 
 @njit(cache=True, nogil=True)
