@@ -12,12 +12,12 @@ from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_beside, run_parallel
 from gpdf_service.ground import GroundLevel, Levels, Portal
 from gpdf_service.ground.footing import FLIGHT_RISE, ridges, ridges_reach
-from gpdf_service.ground.limits import limits_reach, step_and_slope
+from gpdf_service.ground.limits import Measured, limits_reach, step_and_slope
 from gpdf_service.perception.budget import KEPT_BYTES, LEVEL_BYTES, check_grid, give_back
 from gpdf_service.perception.cloud import Cloud, change_layers
 from gpdf_service.perception.complete import complete
 from gpdf_service.perception.ledges import ground_reach, ledge_reach, ledges_felt
-from gpdf_service.perception.others import find_ledges_in, find_others, held_in
+from gpdf_service.perception.others import Others, find_ledges_in, find_others, held_in
 from gpdf_service.perception.rays import Rays
 from gpdf_service.perception.seen import part_of, sheet_surface
 from gpdf_service.perception.segment import LEAST_SCATTER
@@ -217,20 +217,30 @@ def _make_level(site: Site, sheet: BoolArray, part: Part, before: Made | None) -
         del near, holds
         if before is None:
             give_back(len(site.ground))
-        *told, ridge = measure(grid, surface)
-        measured, both = (told[0], told[1]), (guarded, ridge)
+        measured, ridge = measure(grid, surface)
+        both = guarded, ridge
     else:  # they are told by nothing else
         grid = replace(grid, known=was.grid.known | grid.known)
     other = changed(was.level.surface, surface) | fresh
     surface = surface if other.any() else was.level.surface  # versions share it
     felt = columns | ledges_felt(other, was.level.surface, surface) | widened(fresh, ledge_reach(surface))
-    asked = widened(felt, ground_reach(surface)) | held.unlike
-    ledge = find_ledges_in(site, surface, held, asked)
-    stepped = held.unlike | unlike_cells(asked, was.first, was.level.ledge[:, None], held.first, ledge[:, None])
+    ledge, stepped = _ledges_of(site, surface, held, felt, was)
     touched = widened(stepped | other, 1) | grid.other_answers("measured", "ridges", "edges")  # all that limits tell
     if not touched.any():
         return Made(was.level, grid.lasting(), held.first, None)
     return Made(GroundLevel(surface, held.points, ledge, measured, both), grid.lasting(), held.first, touched)
+
+
+def _ledges_of(
+    site: Site, surface: HeightMap, held: Others, felt: BoolArray, was: Made
+) -> tuple[Float32Array, BoolArray]:
+    """The ledges of the other points, which the ground in the `felt` cells may tell otherwise than before.
+
+    Also the cells that hold other points, or ledges, shape (nx, ny).
+    """
+    asked = widened(felt, ground_reach(surface)) | held.unlike
+    ledge = find_ledges_in(site, surface, held, asked)
+    return ledge, held.unlike | unlike_cells(asked, was.first, was.level.ledge[:, None], held.first, ledge[:, None])
 
 
 def _asked_of(site: Site, part: Part, before: Made | None) -> tuple[Made, BoolArray, BoolArray]:
@@ -267,7 +277,7 @@ def _nothing(part: Part, width: float) -> Made:
     return Made(level, new_grid(part.shape), np.zeros(count + 1, np.int64), None)
 
 
-def measure(grid: Grid, surface: HeightMap) -> tuple[FloatArray, FloatArray, BoolArray]:
+def measure(grid: Grid, surface: HeightMap) -> tuple[Measured, BoolArray]:
     """Steps and slopes of a level's ground, and its ridges, each of shape (nx, ny)."""
 
     def steps(_: Box, height: Float32Array, state: ByteArray) -> tuple[FloatArray, FloatArray]:
@@ -279,7 +289,7 @@ def measure(grid: Grid, surface: HeightMap) -> tuple[FloatArray, FloatArray, Boo
     given, pits, drops = (surface.height, surface.state), grid.known["seen"].made[1], grid.known["voids"].made[:2]
     step, slope = grid.around("measured", limits_reach(surface), steps, *given)
     (ridge,) = grid.around("ridges", ridges_reach(surface), over, *given, pits, *drops)
-    return step, slope, ridge
+    return (step, slope), ridge
 
 
 def count_undecided(level: GroundLevel, noise: float = 0.0) -> int:
