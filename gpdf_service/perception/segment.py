@@ -22,10 +22,9 @@ from gpdf_service.perception.parts import (
     accept_parts,
     build_parts,
     join_parts,
-    undersides,
-    without_ceilings,
     without_crumbs,
 )
+from gpdf_service.perception.slabs import undersides, without_ceilings
 from gpdf_service.perception.strides import BODY, find_between, find_footing, find_stances
 from gpdf_service.tiles.beside import Beside, Strips, beside, beside_now
 from gpdf_service.tiles.layers import Layers, build_layers, connect, nodes_of
