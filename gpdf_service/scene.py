@@ -68,11 +68,11 @@ from gpdf_service.search import (
 from gpdf_service.shades import Shades
 from gpdf_service.store import Arrays, flatten, read_arrays, restore, under, write_arrays
 from gpdf_service.tiles import HeightMap
-from gpdf_service.tiles.layers import in_steps
 from gpdf_service.tiles.points import Points, points_of
 from gpdf_service.tiles.rows import chosen_rows
 from gpdf_service.tiles.surface import INFERRED, UNKNOWN, first_cell, is_same_ground
 from gpdf_service.tiles.told import moved
+from gpdf_service.tiles.width import in_steps
 from gpdf_service.types import Agent, BoolArray, FieldSample, FloatArray, IntArray, resolve_agent
 
 Progress = Callable[[str, float], None]

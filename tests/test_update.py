@@ -11,7 +11,7 @@ from gpdf_service.scene import assemble_scene
 from gpdf_service.synthetic import SCENES
 from gpdf_service.synthetic.scenes import cave, ramp, random_room, stair
 from gpdf_service.synthetic.world import Box
-from gpdf_service.tiles.layers import cell_width_of
+from gpdf_service.tiles.width import cell_width_of
 
 
 @pytest.fixture(scope="module")

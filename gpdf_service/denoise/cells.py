@@ -69,11 +69,13 @@ def sort_into_cells(points: FloatArray, width: float) -> Cells:
     corner = lowest - _MARGIN * width
     counts = np.floor((highest - corner) / width).astype(np.int64) + 1 + _MARGIN
     strides = np.array([counts[1] * counts[2], counts[2]])
-    key, places = np.empty(len(points), np.int64), np.empty((len(points), 3))
+    key = np.empty(len(points), np.int64)
     run_chunked(lambda a, b: _keys(points[a:b], corner, width, strides, key[a:b]), len(points))
     order = order_by(key)
-    begin, own = _runs(points, corner, key, order, places)
-    return Cells(order, places, begin, own, corner, width, strides)
+    key, places = key[order], points.take(order, 0)
+    places -= corner
+    begin = np.flatnonzero(np.diff(key, prepend=-1))
+    return Cells(order, places, np.append(begin, len(key)), key[begin], corner, width, strides)
 
 
 def rows_around(points: FloatArray, asked: BoolArray, width: float) -> IntArray:
@@ -105,24 +107,6 @@ def _keys(points: FloatArray, corner: FloatArray, width: float, strides: IntArra
         y = floor((points[i, 1] - corner[1]) / width)
         z = floor((points[i, 2] - corner[2]) / width)
         key[i] = x * strides[0] + y * strides[1] + z
-
-
-@njit(cache=True, nogil=True)
-def _runs(
-    points: FloatArray, corner: FloatArray, key: IntArray, order: IntArray, places: FloatArray
-) -> tuple[IntArray, IntArray]:
-    """Write the points in their order; where each cell's begin, and its number."""
-    n, m = len(order), 0
-    begin, own = np.empty(n + 1, np.int64), np.empty(n, np.int64)
-    for i in range(n):
-        row = order[i]
-        for k in range(3):
-            places[i, k] = points[row, k] - corner[k]
-        if m == 0 or key[row] != own[m - 1]:
-            begin[m], own[m] = i, key[row]
-            m += 1
-    begin[m] = n
-    return begin[: m + 1].copy(), own[:m].copy()
 
 
 def sum_cells(cells: Cells) -> FloatArray:

@@ -46,20 +46,14 @@ def draw_in(windows: Windows, placed: Placed) -> BoolArray:
     return few
 
 
-@njit(cache=True, nogil=True)
 def _in_order(cells: Cells, placed: Placed) -> tuple[FloatArray, FloatArray]:
     """Where the points are with their normals, (n, 6), and sums of those before each as they were measured, (n + 1, 3).
 
     They are in the order of the cells.
     """
-    count = len(cells.order)
-    shown, sums = np.empty((count, 6)), np.zeros((count + 1, 3))
-    for i in range(count):
-        row = cells.order[i]
-        for k in range(3):
-            shown[i, k], shown[i, 3 + k] = placed.points[row, k], placed.normal[row, k]
-            sums[i + 1, k] = sums[i, k] + cells.places[i, k]
-    return shown, sums
+    sums = np.zeros((len(cells.order) + 1, 3))
+    np.cumsum(cells.places, axis=0, out=sums[1:])
+    return np.column_stack([placed.points.take(cells.order, 0), placed.normal.take(cells.order, 0)]), sums
 
 
 @njit(cache=True, nogil=True)

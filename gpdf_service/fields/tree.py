@@ -122,7 +122,8 @@ def change_tree(tree: Tree, keep: BoolArray, added: FloatArray) -> tuple[Tree, I
     Returns:
         The tree, and where each of its rows comes from: a row of the old tree, or −1 − a row of `added`.
     """
-    points, source, begin = _kept(tree.points, keep, tree.begin)
+    source, begin = np.flatnonzero(keep), np.append(0, np.cumsum(keep))[tree.begin]
+    points = tree.points.take(source, axis=0)
     same = np.where(np.diff(begin) == np.diff(tree.begin), np.arange(len(begin) - 1), -1)
     if len(added):
         fresh = build_tree(added)
@@ -133,22 +134,6 @@ def change_tree(tree: Tree, keep: BoolArray, added: FloatArray) -> tuple[Tree, I
         built = build_tree(points)
         return built, source[built.order]
     return tree_of(points, np.arange(len(points)), begin, (tree, same)), source
-
-
-@njit(cache=True, nogil=True)
-def _kept(points: FloatArray, keep: BoolArray, begin: IntArray) -> tuple[FloatArray, IntArray, IntArray]:
-    """The points to keep, their rows, and where each leaf begins among them."""
-    count = np.count_nonzero(keep)
-    made, source, first, used = np.empty((count, points.shape[1])), np.empty(count, np.int64), np.zeros_like(begin), 0
-    for leaf in range(len(begin) - 1):
-        for i in range(begin[leaf], begin[leaf + 1]):
-            if keep[i]:
-                for k in range(points.shape[1]):
-                    made[used, k] = points[i, k]
-                source[used] = i
-                used += 1
-        first[leaf + 1] = used
-    return made, source, first
 
 
 @njit(cache=True, nogil=True)

@@ -15,9 +15,8 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.ground.foot import HALF_FOOT, SECTORS, STRIDE, sector_of
 from gpdf_service.ground.footing import ROUGH, flights
-from gpdf_service.kernel_cache import lean
-from gpdf_service.tiles.boxes import span
-from gpdf_service.tiles.surface import UNKNOWN, Cells, HeightMap
+from gpdf_service.tiles.boxes import highest_around, window
+from gpdf_service.tiles.surface import UNKNOWN, HeightMap
 from gpdf_service.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
 FOOT = 0.1
@@ -74,73 +73,27 @@ def find_limits(
         ridge: Its `ridges`, shape (nx, ny).
         cells: Which are asked about, shape (nx, ny).
     """
-    own = surface.arrays, (material, ridge, cells), measured
-    count = _put_limits(*own, (0, 0, 0, 0), (np.zeros((0, 3)), np.zeros(0)))
-    ends = (0, *np.cumsum(count).tolist())
-    made = GroundLimits(np.empty((ends[-1], 3)), np.repeat(_KINDS, count), np.full(ends[-1], np.inf))
-    _put_limits(*own, ends[:-1], (made.points, made.value))
-    return made
+    box = rows, columns = window(cells, 1)
+    cells, height, known = cells[box], surface.height[box].astype(np.float64), surface.state[box] != UNKNOWN
+    beside, (step, slope) = highest_around(np.where(known, height, -np.inf), 1), (each[box] for each in measured)
+    told = (
+        (ObstacleKind.STEP, known & (step > LEAST_STEP), height, step),
+        (ObstacleKind.SLOPE, known & (slope > 0.0), height, slope),
+        (ObstacleKind.UNKNOWN, ~known & ~material[box] & (beside > -np.inf), beside, _NEVER),
+        (ObstacleKind.MATERIAL, ridge[box], height, _NEVER),
+    )
+    points, kinds, values = [], [], []
+    for kind, where, z, value in told:
+        x, y = at = np.nonzero(where & cells)
+        plan = surface.origin + (np.column_stack([x + rows.start, y + columns.start]) + 0.5) * surface.cell_width
+        points.append(np.column_stack([plan, z[at]]))
+        kinds.append(np.full(len(x), kind, np.uint8))
+        values.append(np.broadcast_to(value, cells.shape)[at])
+    return GroundLimits(*map(np.concatenate, (points, kinds, values)))
 
 
-_KINDS = np.array([ObstacleKind.STEP, ObstacleKind.SLOPE, ObstacleKind.UNKNOWN, ObstacleKind.MATERIAL], np.uint8)
-"""In the order of the limits."""
-
-
-@njit(cache=True, nogil=True)
-def _put_limits(
-    ground: Cells,
-    told: tuple[BoolArray, BoolArray, BoolArray],
-    measured: Measured,
-    begin: tuple[int, int, int, int],
-    made: tuple[FloatArray, FloatArray],
-) -> tuple[int, int, int, int]:
-    """Write points and values of the limits, those of the k-th kind from row `begin[k]` on; behind their last rows.
-
-    Into empty arrays nothing is written.
-    """
-    (steps, slopes, edges, ridges), (step, slope), (material, ridge, cells) = begin, measured, told
-    left, right, near, far = span(cells)
-    for x in range(left, right):
-        for y in range(near, far):
-            if not cells[x, y]:
-                continue
-            height = float(ground.height[x, y])
-            if ground.state[x, y] != UNKNOWN:
-                if step[x, y] > LEAST_STEP:
-                    steps = _put_limit(ground, x, y, (height, step[x, y]), made, steps)
-                if slope[x, y] > 0.0:
-                    slopes = _put_limit(ground, x, y, (height, slope[x, y]), made, slopes)
-            elif not material[x, y]:
-                beside = _highest_known(ground, x, y)
-                if beside > -np.inf:
-                    edges = _put_limit(ground, x, y, (beside, np.inf), made, edges)
-            if ridge[x, y]:
-                ridges = _put_limit(ground, x, y, (height, np.inf), made, ridges)
-    return steps, slopes, edges, ridges
-
-
-@lean()
-def _put_limit(
-    ground: Cells, x: int, y: int, limit: tuple[float, float], made: tuple[FloatArray, FloatArray], row: int
-) -> int:
-    """Write a limit, its height and value, over the middle of a cell into a row, if there are rows; the next row."""
-    points, values = made
-    if len(points) > 0:
-        points[row, 0] = ground.origin[0] + (x + 0.5) * ground.width
-        points[row, 1] = ground.origin[1] + (y + 0.5) * ground.width
-        points[row, 2], values[row] = limit
-    return row + 1
-
-
-@lean()
-def _highest_known(ground: Cells, x: int, y: int) -> float:
-    """Height of the highest known ground beside a cell [m], −inf where there is none."""
-    highest = -np.inf
-    for u in range(max(x - 1, 0), min(x + 2, len(ground.state))):
-        for v in range(max(y - 1, 0), min(y + 2, ground.state.shape[1])):
-            if ground.state[u, v] != UNKNOWN:
-                highest = max(highest, float(ground.height[u, v]))
-    return highest
+_NEVER = np.array(np.inf)
+"""Limit of what no body takes."""
 
 
 def limits_reach(surface: HeightMap) -> int:

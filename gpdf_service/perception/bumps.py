@@ -20,10 +20,9 @@ from gpdf_service.ground.foot import SOLE
 from gpdf_service.kernel_cache import lean
 from gpdf_service.tiles.beside import Beside, Strips
 from gpdf_service.tiles.boxes import lowest_around
-from gpdf_service.tiles.layers import HALF, Layers
+from gpdf_service.tiles.layers import HALF, Layers, flat
 from gpdf_service.tiles.nodes import components, extents_of, plan_sums
 from gpdf_service.tiles.pairs import Columns, pairs_around
-from gpdf_service.tiles.pieces import find_pieces
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 LEAST_BUMP = 0.02
@@ -57,19 +56,18 @@ def low_things(near: Beside, ground: Strips, raised: Strips, relief: FloatArray,
         relief: Of the ground [m], shape (k,), or (1,) where it is the same everywhere.
         config: Limits.
     """
-    layers = near.layers
+    layers, on, high = near.layers, flat(ground), flat(raised)
     slope = layers.cell_width * float(np.tan(config.steepest))
-    nodes, most, piece = _raised(near, "bumps", LEAST_BUMP, raised, slope)
-    around = _roughness(near, nodes, piece, (ground, raised), config)
-    rough = most > ROUGH * around[piece]
+    nodes, most, piece = _raised(layers, LEAST_BUMP, high, slope)
+    rough = most > ROUGH * _roughness(layers, nodes, piece, on, high, config)
     nodes, most = nodes[rough], most[rough]
     if len(nodes) == 0:
         return near.among("low things", nodes)
     piece = _pieces(layers, nodes, slope)
     length, depth = _extents(layers, nodes, piece)
     stays = (length >= config.standing_width) & (length >= LONG * depth)
-    a, drop = _drops_beside(layers, nodes, ground, config)
-    stays |= _are_places(near, "low places", nodes, most, piece, ground, config)
+    a, drop = _drops_beside(layers, nodes, on, config)
+    stays |= _are_places(layers, nodes, most, piece, on, config)
     stays[piece[a[drop < -LEAST_BUMP]]] = True
     least = relief if len(relief) == 1 else relief[nodes]
     return near.among("low things", nodes[~stays[piece] & (most > least)])
@@ -83,51 +81,36 @@ def boxes(near: Beside, ground: Strips, config: PerceptionConfig) -> Strips:
     at the corner of a platform is none: the ground goes on at two fifths of its rim. What so narrow a thing is joined
     to at its height is of it, whether or not the scan shows ground behind.
     """
-    layers, slope = near.layers, near.layers.cell_width * float(np.tan(config.steepest))
+    layers, on, slope = near.layers, flat(ground), near.layers.cell_width * float(np.tan(config.steepest))
     width = max(2, int(LANDING / layers.cell_width))
     raised = _ask(near, "raised within", _raise_within, width, (slope, config.max_step), ground)
-    nodes, most, piece = _raised(near, "boxes", slope, raised, slope)
+    nodes, most, piece = _raised(layers, slope, flat(raised), slope)
     if len(nodes) == 0:
         return near.among("boxes", nodes)
-    nodes, most, piece = _with_tops(layers, nodes, most, piece, np.concatenate(ground), config)
+    nodes, most, piece = _with_tops(layers, nodes, most, piece, on, config)
     length, depth = _extents(layers, nodes, piece)
-    a, drop = _drops_beside(layers, nodes, ground, config)
+    a, drop = _drops_beside(layers, nodes, on, config)
     rim, steps, up = (
         np.bincount(piece[a[kind]], minlength=len(depth))
         for kind in (drop < np.inf, drop >= 0.5 * most[a], drop < -LEAST_BUMP)
     )
     narrow = (depth >= SOLE) & (length < LONG * depth) & (up == 0)
-    narrow &= ~_are_places(near, "places of boxes", nodes, most, piece, ground, config)
+    narrow &= ~_are_places(layers, nodes, most, piece, on, config)
     box = ((depth >= config.standing_width) | narrow) & (steps > STEPPED * rim) & (up < RISING * rim)
     return near.among("boxes", nodes[box[piece]])
 
 
 def _are_places(
-    near: Beside,
-    name: str,
-    nodes: IntArray,
-    raised: FloatArray,
-    piece: IntArray,
-    ground: Strips,
-    config: PerceptionConfig,
+    layers: Layers, nodes: IntArray, raised: FloatArray, piece: IntArray, ground: BoolArray, config: PerceptionConfig
 ) -> BoolArray:
     """Which pieces of the `nodes`, shape (m,), are joined to more ground than so narrow a thing has; see `LONG`.
 
     That is as high as half the most that they are `raised` [m], shape (m,).
     """
-    layers, last = near.layers, _tops(raised, piece)
-    by_node, enough = last[np.argsort(nodes[last])], _room_of_things(layers.cell_width, config)
-    most, reach = nodes[by_node], int(LANDING / layers.cell_width)
-
-    def count(part: Layers, asked: IntArray, _: IntArray, least: FloatArray, ground: BoolArray) -> IntArray:
-        found: IntArray = _cells_as_high(asked, part.columns, ground, least, (reach, enough), config.max_step)
-        return found
-
-    row = layers.cell[most] // layers.shape[1]
-    span = np.column_stack([row - reach, row + reach + 1])
-    room = np.empty(len(most), np.int64)
-    room[piece[by_node]] = near.few(name, most, span, count, (layers.height[most] - 0.5 * raised[by_node],), (ground,))
-    found: BoolArray = room > enough
+    last, enough = _tops(raised, piece), _room_of_things(layers.cell_width, config)
+    top, limits = nodes[last], (int(LANDING / layers.cell_width), enough)
+    least = layers.height[top] - 0.5 * raised[last]
+    found: BoolArray = _cells_as_high(top, layers.columns, ground, least, limits, config.max_step) > enough
     return found
 
 
@@ -150,44 +133,26 @@ def _with_tops(
     return nodes, made[nodes], _pieces(layers, nodes, layers.cell_width * float(np.tan(config.steepest)))
 
 
-@njit(cache=True, nogil=True)
 def _tops(raised: FloatArray, piece: IntArray) -> IntArray:
     """Of each piece the row of the node that is raised most, the last one of such, shape (pieces,)."""
-    made = np.full(piece.max() + 1, -1)
-    for i in range(len(piece)):
-        if made[piece[i]] < 0 or raised[i] >= raised[made[piece[i]]]:
-            made[piece[i]] = i
-    return made
+    order = np.lexsort((raised, piece))
+    return order[np.flatnonzero(np.diff(piece[order], append=-1))]
 
 
-def _raised(
-    near: Beside, name: str, least: float, raised: Strips, slope: float
-) -> tuple[IntArray, FloatArray, IntArray]:
+def _raised(layers: Layers, least: float, raised: FloatArray, slope: float) -> tuple[IntArray, FloatArray, IntArray]:
     """Nodes that are raised by more than the `least` [m], shape (m,), by how much, and the piece of each."""
-    found = near.each(name, lambda raised: raised > least, raised)
-    pieces = find_pieces(near, name, found, slope)
-    nodes, most = near.where(name, found, raised)
-    return nodes, most, pieces.at(nodes)
+    nodes = np.flatnonzero(raised > least)
+    return nodes, raised[nodes], _pieces(layers, nodes, slope)
 
 
 def _roughness(
-    near: Beside, nodes: IntArray, piece: IntArray, given: tuple[Strips, Strips], config: PerceptionConfig
+    layers: Layers, nodes: IntArray, piece: IntArray, ground: BoolArray, raised: FloatArray, config: PerceptionConfig
 ) -> FloatArray:
-    """Upper quartile of what is around each piece of the `nodes`, (m,), (pieces,).
-
-    Of the ground, and of how much it is raised [m], which are `given`.
-    """
+    """Upper quartile of how much the ground is `raised` [m] around the piece of each of the `nodes`, shape (m,)."""
     first = np.unique(piece, return_index=True)[1]  # pieces are numbered by their first nodes
-    boxes = _boxes_around(near.layers, nodes, piece, len(first), 2 * _reach(near.layers, config))
-
-    def quartile(
-        part: Layers, asked: IntArray, row: IntArray, box: IntArray, ground: BoolArray, raised: FloatArray
-    ) -> FloatArray:
-        box = box - np.array([row[0], row[0], 0, 0])
-        found: FloatArray = _around(asked, box, part.columns, ground, raised)
-        return found
-
-    return near.few("rough", nodes[first], boxes[:, :2], quartile, (boxes,), given)
+    boxes = _boxes_around(layers, nodes, piece, len(first), 2 * _reach(layers, config))
+    made: FloatArray = _around(nodes[first], boxes, layers.columns, ground, raised)[piece]
+    return made
 
 
 def _ask(
@@ -283,10 +248,10 @@ def _extents(layers: Layers, nodes: IntArray, piece: IntArray) -> tuple[FloatArr
 
 
 def _drops_beside(
-    layers: Layers, nodes: IntArray, ground: Strips, config: PerceptionConfig
+    layers: Layers, nodes: IntArray, ground: BoolArray, config: PerceptionConfig
 ) -> tuple[IntArray, FloatArray]:
     """Other `ground` beside the `nodes` and within a step of them: row of the node, and how much lower it is [m]."""
-    others = np.concatenate(ground) & ~_among(layers, nodes)
+    others = ground & ~_among(layers, nodes)
     a, b = pairs_around(nodes, layers.columns, others, 0.0, config.max_step)
     return a, layers.height[nodes[a]] - layers.height[b]
 

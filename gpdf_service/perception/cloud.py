@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.tiles.boxes import widened, window
-from gpdf_service.tiles.layers import Layers, build_layers, grid_of, layer_gap, same_nodes, splice_layers
+from gpdf_service.tiles.layers import Layers, build_layers, grid_of, same_nodes, splice_layers
 from gpdf_service.tiles.points import Points
 from gpdf_service.tiles.surface import HeightMap
+from gpdf_service.tiles.width import layer_gap
 from gpdf_service.types import BoolArray, FloatArray
 
 Rows = slice | NDArray[Any]

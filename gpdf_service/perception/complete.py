@@ -10,11 +10,12 @@ import numpy as np
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.ground.foot import LEAST_OBSTACLE
 from gpdf_service.perception.hidden import faces_reach, find_faces, hidden_reach, without_hidden
-from gpdf_service.perception.holes import Voids, fill_holes, standing
+from gpdf_service.perception.holes import fill_holes, standing
 from gpdf_service.perception.notches import NOTCH_DEPTH, between_treads
 from gpdf_service.perception.others import Held
 from gpdf_service.perception.rays import seen_by_rays
 from gpdf_service.perception.site import Site
+from gpdf_service.perception.voids import Voids
 from gpdf_service.tiles.boxes import Box, highest_around, lowest_around
 from gpdf_service.tiles.rows import extent_within
 from gpdf_service.tiles.surface import UNKNOWN, HeightMap, Nearest
@@ -34,7 +35,7 @@ def complete(
         grid: What was asked of its cells.
         seen: The ground as it was seen.
         held: Says which other points are in a box of cells.
-        voids: See `find_voids`.
+        voids: What is seen deeper.
         near: Where the ground was seen, `nearest_seen`.
         site: Its rays tell what may stand on inferred ground where they are known; else fronts do.
     """

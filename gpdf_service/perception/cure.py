@@ -19,8 +19,8 @@ from gpdf_service.denoise import (
 from gpdf_service.fields import build_tree, estimate_spacing
 from gpdf_service.perception.segment import Segmentation, segment
 from gpdf_service.tiles.columns import compacted
-from gpdf_service.tiles.layers import columns_over, in_steps
 from gpdf_service.tiles.rows import bounds_of, cells_of, chosen_rows
+from gpdf_service.tiles.width import columns_over, in_steps
 from gpdf_service.types import BoolArray, FloatArray
 
 NOISE_STEP = 0.001

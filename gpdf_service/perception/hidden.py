@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from gpdf_service.ground.foot import HALF_FOOT
-from gpdf_service.perception.holes import CEILING, MAX_HOLE_RADIUS
-from gpdf_service.tiles.boxes import highest_around
+from gpdf_service.perception.holes import CEILING
+from gpdf_service.perception.voids import MAX_HOLE_RADIUS
+from gpdf_service.tiles.boxes import SIDES, highest_around
 from gpdf_service.tiles.nearest import nearest_of
 from gpdf_service.tiles.rows import extent_within
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, count_cells, count_in, without
@@ -17,8 +18,6 @@ from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 _FACE_REACH = 2
 """Cells within which the ground decides how high a point is."""
-_BESIDE = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=bool)
-"""The four neighbours of a cell, without itself."""
 
 
 def without_hidden(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> HeightMap:
@@ -39,9 +38,9 @@ def without_hidden(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> H
     clear = ((surface.state == OBSERVED) | top) & ~face
     room, front = nearest_of(clear)[0], nearest_of(face)[0]
     shown = (room > 1.0) & (room <= MAX_HOLE_RADIUS / surface.cell_width) & (front <= room + 1.0)
-    wide = ndimage.binary_dilation((surface.state != OBSERVED) & ~face, _BESIDE)
+    wide = ndimage.binary_dilation((surface.state != OBSERVED) & ~face, SIDES)
     asked = (surface.state == INFERRED) & wide
-    return without(surface, _discs(np.ascontiguousarray(np.argwhere(shown)), room, asked) & asked)
+    return without(surface, _discs(np.ascontiguousarray(np.argwhere(shown)), room, count_cells(asked)) & asked)
 
 
 def find_faces(surface: HeightMap, cell: IntArray, z: FloatArray, headroom: float) -> BoolArray:
@@ -87,19 +86,19 @@ def hidden_reach(surface: HeightMap) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _discs(centres: NDArray[np.int64], radius: FloatArray, asked: BoolArray) -> BoolArray:
+def _discs(centres: NDArray[np.int64], radius: FloatArray, asked: NDArray[np.int32]) -> BoolArray:
     """Cells nearer to any of the `centres`, shape (k, 2), than its `radius` [cells], shape (nx, ny), of those `asked`.
 
-    A disc in whose square no cell is asked for is passed over.
+    These are told by `count_cells`: a disc in whose square there is none is passed over.
     """
     nx, ny = radius.shape
-    covered, counts = np.zeros((nx, ny), np.bool_), count_cells(asked)
+    covered = np.zeros((nx, ny), np.bool_)
     for k in range(len(centres)):
         x, y = centres[k, 0], centres[k, 1]
         reach = radius[x, y]
         far = int(reach)
         left, right, near, behind = max(x - far, 0), min(x + far + 1, nx), max(y - far, 0), min(y + far + 1, ny)
-        if count_in(counts, left, right, near, behind) == 0:
+        if count_in(asked, left, right, near, behind) == 0:
             continue
         for u in range(left, right):
             for v in range(near, behind):

@@ -15,11 +15,9 @@ from gpdf_service.fields.heights import make_sums
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.bend import FINE, FLAT, bend_at, reach_of
 from gpdf_service.perception.notches import fill_notches, notches_reach
-from gpdf_service.tiles.boxes import Box, highest_around, lowest_around, widened, window
+from gpdf_service.perception.voids import MAX_HOLE_RADIUS, RING_SHARE, Voids, near_hollow, walled_down
+from gpdf_service.tiles.boxes import Box, window
 from gpdf_service.tiles.columns import by_cell
-from gpdf_service.tiles.layers import widest_cell
-from gpdf_service.tiles.nearest import nearest_of
-from gpdf_service.tiles.nodes import count_labels
 from gpdf_service.tiles.rows import extent_within, under
 from gpdf_service.tiles.surface import (
     INFERRED,
@@ -30,37 +28,25 @@ from gpdf_service.tiles.surface import (
     nearest_seen,
 )
 from gpdf_service.tiles.told import Grid
+from gpdf_service.tiles.width import widest_cell
 from gpdf_service.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
 GAP_CELLS = 4
 """Empty cells side by side that chance alone explains, at one in ten empty."""
-RING_SHARE = 0.95
-"""[-] Of the ground around a hole that must not lie under the plane that fills it: the rest is a scan's noise."""
 RING = 2
 """Cells around a hole whose ground tells of it."""
 PLANE_SHARE = 0.5
 """[-] Of the ground around a hole that must lie on that plane; the rest, higher, is a chair's feet or a step up."""
 OPEN_SHARE = 0.5
 """[-] Of the rim of a hole under the open that must be ground: what furniture and walls close off can hold anything."""
-SLAB = 1.0
-"""[m] Thickest floor: what is seen deeper than this under a hole was seen through it."""
-STOREY = 1.5
-"""[m] Least room under a floor: what is seen nearer below a hole with less than this under itself is a pit's bottom."""
-WALL_CELLS = 3.0
-"""[cells] The wall of a pit is seen within these under its rim; the underside of a floor is deeper."""
 CEILING = 1.9
 """[m] What is higher over the ground beside is a ceiling or a lamp, no furniture whose shadow is the hole."""
 _ROUNDING = float(np.finfo(np.float64).eps)
 """[-] Of a least-squares fit, a row: a singular value below this times the rows over the largest counts as 0."""
-MAX_HOLE_RADIUS = 1.0
-"""[m] A hole is filled if no place in it is further from seen ground: a scanner's blind spot, the shadow of a desk."""
 
 Material = tuple[BoolArray, BoolArray, BoolArray]
 """Cells with points that may be a thing's, and those of them where all lie at the ground's height, and where some lie
 over it; see `standing`."""
-Voids = tuple[NDArray[Any], ...]
-"""Where the scanner saw through a level's unknown cells, where they are pits, its walls, and where one is seen under
-ground; see `find_voids`."""
 
 
 def fill_holes(
@@ -94,7 +80,6 @@ def fill_holes(
     """
     if surface.cell_width >= widest_cell(config):
         return surface
-    seen_through, pit, *_ = voids
     height, state = _fill_gaps(grid, "gaps", surface.height, surface.state, surface, noise)
 
     def notched(
@@ -104,7 +89,7 @@ def fill_holes(
         return made.height, made.state
 
     held, at_floor, over = material
-    given = height, state, seen_through | pit, over
+    given = height, state, voids.through | voids.pit, over
     height, state = grid.around("notches", notches_reach(surface, config), notched, *given)
     known = state != UNKNOWN
     ends = _no_holes(grid, surface, near, voids)
@@ -116,9 +101,9 @@ def fill_holes(
 
 def _no_holes(grid: Grid, surface: HeightMap, near: Nearest, voids: Voids) -> BoolArray:
     """Cells that are in no hole which ground fills, see `fill_holes`, shape (nx, ny)."""
-    seen_through, pit, walls, hollow = voids
-    (walled,) = grid.whole("walled down", lambda *_: (_walled_down(surface, walls),), walls, surface.state)
-    ends: BoolArray = seen_through | pit | walled | (near.distance > MAX_HOLE_RADIUS) | _near_hollow(surface, hollow)
+    (walled,) = grid.whole("walled down", lambda *_: (walled_down(surface, voids.walls),), voids.walls, surface.state)
+    ends: BoolArray = voids.through | voids.pit | walled | (near.distance > MAX_HOLE_RADIUS)
+    ends |= near_hollow(surface, voids.hollow)
     ends[[0, -1]] = ends[:, [0, -1]] = True
     return ends
 
@@ -137,78 +122,6 @@ def standing(beside: Float32Array, lowest: FloatArray, cell: IntArray, z: FloatA
     over = extent_within(cell, z, ground + cell_width, under(ground + CEILING))[0]
     material = lowest < ground + CEILING
     return material, material & (lowest >= ground - cell_width) & np.isinf(over), np.isfinite(over)
-
-
-def find_voids(
-    seen: HeightMap, near: Nearest, treads: BoolArray, rim: FloatArray, cell: IntArray, z: FloatArray, max_step: float
-) -> Voids:
-    """Cells under whose ground other points lie, by more than `max_step`: of an unknown one only the highest counts.
-
-    Args:
-        seen: The ground as it was seen.
-        near: Its `nearest_seen`.
-        treads: Cells of a flight, shape (nx, ny).
-        rim: See `find_rims`.
-        cell: Flat cell of each point, shape (n,).
-        z: Its height [m].
-        max_step: [m].
-
-    Returns:
-        Where the scanner saw through, further down than a floor is thick; where the bottom of a pit is seen, which is
-        no ceiling because no storey is under it; where the upper end of a pit's walls is: a point right under the
-        ground of a rim, no floor; and where such a bottom is seen under ground that is no flight's. In the first two
-        a known cell counts if it is a flight's.
-    """
-    distance, beside = near
-    low, high = (under(rim - cells * seen.cell_width) for cells in (WALL_CELLS, 1.0))
-    walls: BoolArray = np.isfinite(extent_within(cell, z, low, high)[0])
-    unknown = seen.state == UNKNOWN
-    high = np.where(unknown, beside + np.float32(seen.cell_width), beside - np.float32(max_step))
-    high[distance > MAX_HOLE_RADIUS] = -np.inf
-    bottom, top = extent_within(cell, z, np.full(unknown.shape, -np.inf), under(high))
-    shown = np.isfinite(top)
-    depth = np.where(shown, beside - top, 0.0)
-    pit = (depth > max_step) & (depth <= SLAB) & (np.where(shown, top - bottom, 0.0) < STOREY)
-    asked = unknown | treads
-    return asked & (depth > SLAB), asked & pit, walls, pit & ~asked
-
-
-def find_rims(surface: HeightMap) -> Float32Array:
-    """Height of the ground at the rim of a hole, in its cells and those beside [m], shape (nx, ny), else -inf.
-
-    A step up at the rim is none: the lowest ground within two cells counts. But a rim's cell that holds the wall's
-    upper end, too, lies as deep as that: of each cell and those around it the highest ground counts.
-    """
-    unknown = surface.state == UNKNOWN
-    rim = highest_around(np.where(unknown, -np.inf, surface.height), 1)
-    floor = lowest_around(np.where(unknown, np.inf, rim), 2)
-    return np.where(widened(unknown, 1), floor, -np.inf)
-
-
-def _near_hollow(surface: HeightMap, hollow: BoolArray) -> BoolArray:
-    """Unknown cells within `MAX_HOLE_RADIUS` of `hollow` ground; less of it than two cells by two is a stray's."""
-    square = hollow[1:, 1:] & hollow[1:, :-1] & hollow[:-1, 1:] & hollow[:-1, :-1]
-    firm = np.zeros_like(hollow)
-    if not square.any():
-        return firm
-    for part in (firm[1:, 1:], firm[1:, :-1], firm[:-1, 1:], firm[:-1, :-1]):
-        part |= square
-    near, reach = np.zeros_like(firm), MAX_HOLE_RADIUS / surface.cell_width
-    box = window(firm, int(reach))
-    near[box] = (nearest_of(firm[box])[0] <= reach) & (surface.state[box] == UNKNOWN)
-    return near
-
-
-def _walled_down(surface: HeightMap, walls: BoolArray) -> BoolArray:
-    """Holes with `walls` under more of their rim than a scan's noise explains."""
-    if not walls.any():
-        return walls
-    unknown = surface.state == UNKNOWN
-    label, count = ndimage.label(unknown)
-    at = highest_around(label, 1)  # what is at two holes is at the last one
-    rim, pit = (np.bincount(at[cells], minlength=count + 1) for cells in (~unknown, walls))
-    result: BoolArray = (pit > (1.0 - RING_SHARE) * rim)[label] & unknown
-    return result
 
 
 def _fill_gaps(
@@ -326,7 +239,7 @@ def _pieces_near(
         rim[: RING * (rows.start > 0)] = rim[label.shape[0] - RING * (rows.stop < nx) :] = True
         rim[:, : RING * (columns.start > 0)] = rim[:, label.shape[1] - RING * (columns.stop < ny) :] = True
         kinds = again[box], ends[box], rim, rim & changed[box]
-        asked, ended, cut, was = (count_labels(label.ravel(), kind.ravel(), count + 1) > 0 for kind in kinds)
+        asked, ended, cut, was = (np.bincount(label[kind], minlength=count + 1) > 0 for kind in kinds)
         asked[0] = False
         if not (asked & np.where(ended, was, cut)).any():
             again[box] |= asked[label]

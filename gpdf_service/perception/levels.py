@@ -12,26 +12,28 @@ from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_beside, run_parallel
 from gpdf_service.ground import GroundLevel, Levels, Portal
 from gpdf_service.ground.footing import FLIGHT_RISE, ridges, ridges_reach
-from gpdf_service.ground.limits import limits_reach, step_and_slope
+from gpdf_service.ground.limits import Measured, limits_reach, step_and_slope
 from gpdf_service.perception.budget import KEPT_BYTES, LEVEL_BYTES, check_grid, give_back
 from gpdf_service.perception.cloud import Cloud, change_layers
 from gpdf_service.perception.complete import complete
 from gpdf_service.perception.ledges import ground_reach, ledge_reach, ledges_felt
-from gpdf_service.perception.others import find_ledges_in, find_others, held_in
+from gpdf_service.perception.others import Others, find_ledges_in, find_others, held_in
 from gpdf_service.perception.rays import Rays
 from gpdf_service.perception.seen import part_of, sheet_surface
 from gpdf_service.perception.segment import LEAST_SCATTER
 from gpdf_service.perception.sheets import split_sheets
 from gpdf_service.perception.site import Made, Part, Site
 from gpdf_service.perception.strays import find_strays
+from gpdf_service.perception.voids import Voids
 from gpdf_service.tiles.beside import Beside, beside, beside_now
 from gpdf_service.tiles.boxes import Box, widened
 from gpdf_service.tiles.columns import unlike_cells
-from gpdf_service.tiles.layers import Layers, build_layers, cell_width_of, layer_gap, widest_cell
+from gpdf_service.tiles.layers import Layers, build_layers
 from gpdf_service.tiles.points import Points, points_of
 from gpdf_service.tiles.rows import chosen_rows, rows_by_cell, taken
 from gpdf_service.tiles.surface import HeightMap, Nearest, changed, first_cell, is_same_ground, nearest_seen, placed
 from gpdf_service.tiles.told import Grid, moved, new_grid, shared
+from gpdf_service.tiles.width import cell_width_of, layer_gap, widest_cell
 from gpdf_service.types import BoolArray, ByteArray, Float32Array, FloatArray
 
 ALONE = 0.25
@@ -211,24 +213,34 @@ def _make_level(site: Site, sheet: BoolArray, part: Part, before: Made | None) -
     surface, measured, both = was.level.surface, was.level.measured, was.level.edges
     if (grid.felt("voids", 0, *grid.known["voids"].given, points=True) | grid.other_answers("seen", "voids")).any():
         holds = partial(held_in, held.points, held.first, seen)
-        surface, guarded = complete(grid, seen, holds, grid.known["voids"].made, near, site)
+        surface, guarded = complete(grid, seen, holds, Voids(*grid.known["voids"].made), near, site)
         del near, holds
         if before is None:
             give_back(len(site.ground))
-        *told, ridge = measure(grid, surface)
-        measured, both = (told[0], told[1]), (guarded, ridge)
+        measured, ridge = measure(grid, surface)
+        both = guarded, ridge
     else:  # they are told by nothing else
         grid = replace(grid, known=was.grid.known | grid.known)
     other = changed(was.level.surface, surface) | fresh
     surface = surface if other.any() else was.level.surface  # versions share it
     felt = columns | ledges_felt(other, was.level.surface, surface) | widened(fresh, ledge_reach(surface))
-    asked = widened(felt, ground_reach(surface)) | held.unlike
-    ledge = find_ledges_in(site, surface, held, asked)
-    stepped = held.unlike | unlike_cells(asked, was.first, was.level.ledge[:, None], held.first, ledge[:, None])
+    ledge, stepped = _ledges_of(site, surface, held, felt, was)
     touched = widened(stepped | other, 1) | grid.other_answers("measured", "ridges", "edges")  # all that limits tell
     if not touched.any():
         return Made(was.level, grid.lasting(), held.first, None)
     return Made(GroundLevel(surface, held.points, ledge, measured, both), grid.lasting(), held.first, touched)
+
+
+def _ledges_of(
+    site: Site, surface: HeightMap, held: Others, felt: BoolArray, was: Made
+) -> tuple[Float32Array, BoolArray]:
+    """The ledges of the other points, which the ground in the `felt` cells may tell otherwise than before.
+
+    Also the cells that hold other points, or ledges, shape (nx, ny).
+    """
+    asked = widened(felt, ground_reach(surface)) | held.unlike
+    ledge = find_ledges_in(site, surface, held, asked)
+    return ledge, held.unlike | unlike_cells(asked, was.first, was.level.ledge[:, None], held.first, ledge[:, None])
 
 
 def _asked_of(site: Site, part: Part, before: Made | None) -> tuple[Made, BoolArray, BoolArray]:
@@ -265,7 +277,7 @@ def _nothing(part: Part, width: float) -> Made:
     return Made(level, new_grid(part.shape), np.zeros(count + 1, np.int64), None)
 
 
-def measure(grid: Grid, surface: HeightMap) -> tuple[FloatArray, FloatArray, BoolArray]:
+def measure(grid: Grid, surface: HeightMap) -> tuple[Measured, BoolArray]:
     """Steps and slopes of a level's ground, and its ridges, each of shape (nx, ny)."""
 
     def steps(_: Box, height: Float32Array, state: ByteArray) -> tuple[FloatArray, FloatArray]:
@@ -277,7 +289,7 @@ def measure(grid: Grid, surface: HeightMap) -> tuple[FloatArray, FloatArray, Boo
     given, pits, drops = (surface.height, surface.state), grid.known["seen"].made[1], grid.known["voids"].made[:2]
     step, slope = grid.around("measured", limits_reach(surface), steps, *given)
     (ridge,) = grid.around("ridges", ridges_reach(surface), over, *given, pits, *drops)
-    return step, slope, ridge
+    return (step, slope), ridge
 
 
 def count_undecided(level: GroundLevel, noise: float = 0.0) -> int:

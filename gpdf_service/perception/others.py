@@ -15,11 +15,11 @@ from gpdf_service.fields.threads import run_beside, run_chunked
 from gpdf_service.ground.footing import flights, rings_of
 from gpdf_service.ground.level import OVERLAP, TALLEST, lowest_and_highest
 from gpdf_service.perception.cloud import Rows
-from gpdf_service.perception.holes import MAX_HOLE_RADIUS, find_rims, find_voids
 from gpdf_service.perception.ledges import find_ledges, ground_reach, ledge_reach
 from gpdf_service.perception.notches import FLIGHT
 from gpdf_service.perception.overhead import Columns, over_head, unseen_asks, unseen_beneath
 from gpdf_service.perception.site import Made, Site
+from gpdf_service.perception.voids import MAX_HOLE_RADIUS, find_rims, find_voids
 from gpdf_service.tiles.boxes import Box, widened, window
 from gpdf_service.tiles.columns import by_cell, runs_of, starts_spliced, take_out, unlike_cells, values_spliced
 from gpdf_service.tiles.rows import INDEX, between, extent_within, rows_by_cell, taken, under
@@ -78,35 +78,55 @@ def _flat_cells(box: Box, cells: BoolArray) -> IntArray:
 
 def find_others(site: Site, sheet: BoolArray, seen: HeightMap, near: Nearest, grid: Grid, was: Made) -> Others:
     """The points within reach over the seen ground of a `sheet`, and into the grid its voids, see `find_voids`."""
-    width, max_step = seen.cell_width, site.config.max_step
+    width, config = seen.cell_width, site.config
+    low, high, treads, rim = _span(grid, seen, config.max_step)
+    beside = np.where(near.distance <= MAX_HOLE_RADIUS, near.height, np.float32(np.nan))
+    own = grid.known["seen"].given[0], beside
+    asked, within = unseen_asks(grid, *own, width, config), _near_cells(high, width, config)
+    held = _columns_in(site, sheet, seen, asked, within)
+    hidden = unseen_beneath(grid, held, *own, width, config)
+    given = *own, seen.height, low, high, treads, rim, hidden
+    cells = grid.felt("voids", 0, *given, points=True)
+    box, cell, points, _ = held = held if asked.all() else _columns_in(site, sheet, seen, cells, within)
+    part, shown, z = cropped(seen, box), Nearest(near.distance[box], near.height[box]), points[:, 2]
+    near_by, found = run_beside(
+        partial(between, cell, z, under(low[box] - width), high[box] + TALLEST),
+        partial(find_voids, part, shown, treads[box], rim[box], cell, z, config.max_step),
+    )
+    grid.put("voids", given, cells, [(box, found)] if cells.any() else [])
+    z = _reaching_down(held, hidden[box], beside[box], config)
+    return _changed(was, cells, _flat_cells(box, cells)[np.where(near_by, cell, part.state.size)], points, z)
+
+
+def _span(grid: Grid, seen: HeightMap, max_step: float) -> tuple[NDArray[Any], ...]:
+    """The `lowest_and_highest` ground around each cell, cells of flights, and `find_rims`."""
 
     def answer(_: Box, height: Float32Array, state: ByteArray) -> tuple[NDArray[Any], ...]:
         part = replace(seen, height=height, state=state)
         treads = (state != UNKNOWN) & flights(part, max_step, FLIGHT)
         return *lowest_and_highest(part), treads, find_rims(part)
 
-    reach = ceil(max(OVERLAP, FLIGHT) / width) + 3
-    low, high, treads, rim = grid.around("span", reach, answer, seen.height, seen.state)
-    beside = np.where(near.distance <= MAX_HOLE_RADIUS, near.height, np.float32(np.nan))
-    own = grid.known["seen"].given[0], beside
-    asked, within = unseen_asks(grid, *own, width, site.config), _near_cells(high, width, site.config)
-    columns = _columns_in(site, sheet, seen, asked, within)
-    hidden = unseen_beneath(grid, columns, *own, width, site.config)
-    given = *own, seen.height, low, high, treads, rim, hidden
-    cells = grid.felt("voids", 0, *given, points=True)
-    box, cell, points, ground = columns if asked.all() else _columns_in(site, sheet, seen, cells, within)
-    part, shown, z = cropped(seen, box), Nearest(near.distance[box], near.height[box]), points[:, 2]
-    near_by, found = run_beside(
-        partial(between, cell, z, under(low[box] - width), high[box] + TALLEST),
-        partial(find_voids, part, shown, treads[box], rim[box], cell, z, max_step),
-    )
-    grid.put("voids", given, cells, [(box, found)] if cells.any() else [])
-    over = np.where(hidden[box], over_head(beside[box], site.config), np.inf)
-    deep = between(np.where(ground, cell, cell.dtype.type(over.size)), z, over, np.full(over.shape, np.inf))
-    cell, out = _flat_cells(box, cells)[np.where(near_by, cell, over.size)], cells.size
-    begin, order = by_cell(cell, out + 1)
-    fresh, begin = taken(points, order[: begin[-2]]), begin[:-1]
-    fresh[deep[order[: len(fresh)]], 2] -= max_step  # ground over head counts as what it may reach down to
+    return grid.around("span", ceil(max(OVERLAP, FLIGHT) / seen.cell_width) + 3, answer, seen.height, seen.state)
+
+
+def _reaching_down(held: Columns, hidden: BoolArray, floor: Float32Array, config: PerceptionConfig) -> FloatArray:
+    """Heights of points [m], shape (n,); of ground over head that is `hidden` from below, what it may reach down to."""
+    _, cell, points, ground = held
+    over = np.where(hidden, over_head(floor, config), np.inf)
+    own = np.where(ground, cell, cell.dtype.type(over.size))
+    deep = between(own, points[:, 2], over, np.full(over.shape, np.inf))
+    return points[:, 2] - config.max_step * deep
+
+
+def _changed(was: Made, cells: BoolArray, cell: IntArray, points: FloatArray, z: FloatArray) -> Others:
+    """The other points of a level with those in some `cells` told anew: the points by their flat cell, at heights z.
+
+    Those of the cell after the last one are none.
+    """
+    begin, order = by_cell(cell, cells.size + 1)
+    order, begin = order[: begin[-2]], begin[:-1]
+    fresh = taken(points, order)
+    fresh[:, 2] = z[order]
     unlike = cells if cells.all() else unlike_cells(cells, was.first, was.level.other_points, begin, fresh)
     places = unlike.ravel(), was.first, begin
     first, runs = starts_spliced(*places), runs_of(*places)

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
@@ -14,17 +13,14 @@ from gpdf_service.ground.foot import HALF_FOOT, SOLE, STRIDE
 from gpdf_service.perception.bumps import LANDING
 from gpdf_service.perception.strides import find_strides
 from gpdf_service.tiles.beside import Answer, Beside, Strips
-from gpdf_service.tiles.layers import HALF, Layers, Pairs, connect, steady
+from gpdf_service.tiles.layers import HALF, Layers, Pairs, connect, flat, steady
 from gpdf_service.tiles.nearest import nearest_of
 from gpdf_service.tiles.nodes import (
     components,
     extents_of,
-    heights_of,
-    joined_to,
     nodes_over,
     plan_sums,
     rises_beside,
-    touched_by,
 )
 from gpdf_service.tiles.pieces import Pieces, find_pieces
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -78,7 +74,7 @@ class Parts:
         return np.column_stack([counts, np.zeros(len(counts), np.int64)])
 
 
-def _share(held: IntArray, all_: IntArray) -> FloatArray:
+def share(held: IntArray, all_: IntArray) -> FloatArray:
     """For how many of all nodes of a part it is so, shape (parts + 1,)."""
     made: FloatArray = held / np.maximum(all_, 1)
     return made
@@ -93,7 +89,8 @@ def build_parts(
 
     def add(own: slice, label: IntArray, labels: int, room: BoolArray) -> FloatArray:
         plan = plan_sums(layers.cell[own], layers.shape[1], room, label, labels)
-        return np.column_stack([heights_of(label, layers.height[own], labels), plan])
+        height = np.bincount(label, layers.height[own], labels)
+        return np.column_stack([np.bincount(label, minlength=labels), height, plan])
 
     sums = np.pad(pieces.totals(name, add, room), ((0, 1), (0, 0)))
     size, depth = sums[:, 2].astype(np.int64), extents_of(sums[:, 2:], layers.cell_width)[1]
@@ -209,7 +206,7 @@ def _tables(
         rim = own & (np.bincount(a, minlength=len(own)) + np.bincount(b, minlength=len(own)) < 2 * len(HALF))
         inner, lies = rim.copy(), np.zeros(len(own), dtype=bool)
         for _ring in range(soles):
-            inner |= touched_by(a, b, own, inner)
+            inner[np.concatenate([a[inner[b]], b[inner[a]]])] = True
         rows = np.flatnonzero(inner)
         lies[rows] = nodes_over(rows, layers.cell, layers.height, ground, config.step_headroom)
         inner &= ~rim
@@ -217,10 +214,10 @@ def _tables(
 
     asked = parts.pieces.chosen("high", high), parts.keep, *nodes
     rim, rim_over, inner, inner_over = parts.counts("rims", *near.around("rims", soles + 1, rims, *asked))
-    narrow, inside = parts.depth < LANDING, _share(inner_over, inner)
+    narrow, inside = parts.depth < LANDING, share(inner_over, inner)
     small = narrow | (parts.size * width**2 <= TABLE_AREA)
     table: BoolArray = inside > np.where(small, TABLE_OVER_SHARE, OVER_SHARE)
-    table |= narrow & (_share(rim_over, rim) > OVER_SHARE)
+    table |= narrow & (share(rim_over, rim) > OVER_SHARE)
     return table
 
 
@@ -241,7 +238,7 @@ def _bulk(near: Beside, parts: Parts, joins: Pairs, alive: BoolArray, config: Pe
     size = np.bincount(group, parts.size * alive)
     lies, within, hangs = (
         np.bincount(group, share * parts.size * alive)
-        for share in (_share(over, room), _share(inner_over, inner), _share(inner_hangs, inner))
+        for share in (share(over, room), share(inner_over, inner), share(inner_hangs, inner))
     )
     asked = (hangs > 0.0) & (size >= BULK_SHARE * size.max())
     risen = np.bincount(group, rises * alive)
@@ -351,9 +348,10 @@ def _over_main(
     Further, which are lower over it than a storey, and which are level and no lower than that; shape (groups,).
     """
     layers, step, there = near.layers, config.max_step, parts.pieces.chosen("asked apart", asked[group])
-    (nodes,) = near.where("apart", near.each("nodes apart", np.logical_and, parts.keep, there))
+    keep = flat(parts.keep)
+    nodes = np.flatnonzero(keep & flat(there))
     height, own, middle = layers.height[nodes], group[parts.pieces.at(nodes)], np.zeros(len(asked))
-    ours = np.flatnonzero(np.concatenate(parts.keep) & np.concatenate(ground))
+    ours = np.flatnonzero(keep & flat(ground))
     rise = height - _beside(layers, ours, layers.cell[nodes])
     for k in np.flatnonzero(asked):
         middle[k] = np.median(height[own == k])
@@ -387,101 +385,3 @@ def _beside(layers: Layers, ours: IntArray, cells: IntArray) -> FloatArray:
     high[layers.cell[ours]] = layers.height[ours]  # the highest: nodes are sorted by their height in a cell
     made: FloatArray = high[nearest_of(_holding(layers, ours).reshape(layers.shape))[1].ravel()[cells]]
     return made
-
-
-def _slabs(near: Beside, parts: Parts, config: PerceptionConfig) -> tuple[Strips, BoolArray]:
-    """Nodes of slabs that are seen from below, and which parts hang: slabs, with or without a top, (parts + 1,).
-
-    An underside is the next below nodes of parts, by no more than a step, as wide as a body (a stair's tread goes on
-    beneath the next one by its nosing alone), and more of it has something below it than strays are: the floor has not.
-    A part hangs if that is the most of it, or if more of it is seen under a floor, larger than furniture, than over an
-    underside of its own: then nobody saw most of the slab's top, and a floor has its slab under it.
-    """
-    floors = parts.size * near.layers.cell_width**2 > TABLE_AREA
-
-    def beneath(layers: Layers, _: BoolArray, room: BoolArray, floor: BoolArray) -> Answer:
-        over, found = np.r_[False, layers.cell[1:] == layers.cell[:-1]], np.zeros(len(room), dtype=bool)
-        low, top, ceiling = found.copy(), found.copy(), found.copy()
-        low[:-1] = over[1:] & (np.diff(layers.height) <= config.max_step)
-        found[:-1] = low[:-1] & ~room[:-1] & room[1:]
-        ceiling[:-1], top[1:] = found[:-1] & floor[1:], low[:-1] & room[1:]
-        return found, found & over, ceiling, top
-
-    over = parts.pieces.chosen("floors over slabs", floors)
-    slab, aloft, ceiling, top = near.around("slabs", 0, beneath, parts.keep, over)
-    pieces = find_pieces(near, "slabs", slab, parts.rise)
-    size, lies = pieces.counts("slabs aloft", slab, aloft)
-    wide = pieces.extents("slabs", slab)[1] >= config.standing_width
-    under = pieces.chosen("slabs", wide & (lies > OVER_SHARE * size))
-    hidden = near.each("under floors", np.logical_and, under, ceiling)
-    of_parts, all_, hung, tops = parts.counts("undersides", under, parts.flat, hidden, top)
-    hangs = (_share(of_parts, all_) >= 0.5) | (hung > tops)
-    hangs[-1] = False
-    return under, hangs
-
-
-def undersides(near: Beside, parts: Parts, config: PerceptionConfig) -> tuple[Strips, Parts, BoolArray]:
-    """Nodes of slabs that are seen from below, the parts without them, and which of these are what was left.
-
-    What is left of a part that hangs, and what that is around, are pieces by themselves: where the slab's top has holes
-    in its scan, and a stair's last tread, where that is as high as the underside beside it. See `without_ceilings`.
-    """
-    under, hangs = _slabs(near, parts, config)
-
-    def without(_: Layers, __: BoolArray, *given: BoolArray) -> Answer:
-        under, hung, room, flat = given
-        under = under | (hung & ~room)
-        return under, flat & ~under, hung & room
-
-    given = under, parts.pieces.chosen("hung", hangs), parts.keep, parts.flat
-    under, flat, rest = near.around("undersides", 0, without, *given)
-    if not any(each.any() for each in under):
-        return under, parts, np.zeros_like(hangs)
-    left = build_parts(near, "parts left", flat, parts.keep, parts.inner, parts.rise, config)
-
-    def scraps(layers: Layers, _: BoolArray, room: BoolArray, under: BoolArray, inner: BoolArray) -> Answer:
-        touches = joined_to(layers.columns, room, under, parts.rise)
-        return touches, room & (touches | ~inner)
-
-    kinds = near.around("scraps", 1, scraps, left.keep, under, parts.inner)
-    touches, all_, held = left.counts("scraps", *kinds, rest)
-    found: BoolArray = (_share(touches, all_) >= 0.5) | (held > 0)
-    found[-1] = False
-    return under, left, found
-
-
-def without_ceilings(
-    near: Beside, parts: Parts, joins: Pairs, under: Strips, scraps: BoolArray, config: PerceptionConfig
-) -> tuple[Strips, Parts, Pairs]:
-    """What is left of undersides, `scraps` of shape (parts + 1,), is one as well but for treads: one steps down there.
-
-    Through a hole in the scan of a slab's top nothing is within a stride below. Where that hole is beside a tread, the
-    tread is what is as near to the one below it as that is deep, at most a stride: a ramp is no tread.
-    """
-    if not scraps.any():
-        return under, parts, joins
-    layers, of = near.layers, parts.pieces.whole
-    lost = scraps[of]
-    high, low = (np.concatenate(ends) for ends in zip(joins, joins[::-1], strict=True))
-    down = scraps[high] & ~scraps[low] & (parts.level[high] - parts.level[low] > parts.rise)
-    down &= parts.size[low] * layers.cell_width**2 >= HALF_FOOT
-    for scrap, below in zip(high[down], low[down], strict=True):
-        rise = parts.level[scrap] - layers.height  # a ramp and both its storeys are one part
-        tread = (of == below) & (rise > 0.0) & (rise <= config.max_step)
-        own, beneath = np.flatnonzero(of == scrap), np.flatnonzero(tread)
-        off = cKDTree(layers.place[beneath]).query(layers.place[own])[0]
-        lost[own[off <= min(parts.depth[below], STRIDE) + layers.cell_width]] = False
-
-    def without(_: Layers, __: BoolArray, *given: BoolArray) -> Answer:
-        under, lost, flat, room = given
-        return under | lost, flat & ~lost, room & ~lost
-
-    gone = near.among("ceilings", np.flatnonzero(lost))
-    under, flat, keep = near.around("ceilings", 0, without, under, gone, parts.flat, parts.keep)
-    none = np.diff(parts.pieces.first) - 1
-    label = [np.where(one, number, each) for each, one, number in zip(parts.pieces.label, gone, none, strict=True)]
-    pieces = replace(parts.pieces, label=near.same("labels without ceilings", label))
-    left = replace(parts, name="parts under ceilings", pieces=pieces, flat=flat, keep=keep)
-    left = replace(left, size=left.counts("room", keep)[0])
-    good = (left.size[joins[0]] > 0) & (left.size[joins[1]] > 0)
-    return under, left, (joins[0][good], joins[1][good])

@@ -16,8 +16,8 @@ from scipy import ndimage
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import CloudError
 from gpdf_service.fields.threads import run_parallel
-from gpdf_service.perception.holes import MAX_HOLE_RADIUS
-from gpdf_service.tiles.boxes import widened
+from gpdf_service.perception.voids import MAX_HOLE_RADIUS
+from gpdf_service.tiles.boxes import SIDES, over_blocks, widened
 from gpdf_service.tiles.nodes import components
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, Cells, HeightMap, cells_within, without
 from gpdf_service.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
@@ -110,13 +110,9 @@ def seen_by_rays(filled: HeightMap, rays: Rays, config: PerceptionConfig, noise:
         return filled
     room, edge = _steps_beside(filled, asked, config)
     passed, fell = _follow(filled, _grid_of(filled, asked, room), rays, config, noise)
-    beside = ndimage.minimum_filter(filled.state == OBSERVED, footprint=_CROSS, mode="constant")
+    beside = ndimage.minimum_filter(filled.state == OBSERVED, footprint=SIDES, mode="constant")
     shown = (passed >= ENOUGH) | beside | _blind_spots(filled, asked, rays)
     return without(filled, asked & (~shown | _of_one_hole(filled, asked, fell & ~edge, LOW * config.min_headroom)))
-
-
-_CROSS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=bool)
-"""The four neighbours of a cell."""
 
 
 def _of_one_hole(surface: HeightMap, asked: BoolArray, cells: BoolArray, apart: float) -> BoolArray:
@@ -165,15 +161,12 @@ class _Grid(NamedTuple):
 
 
 def _grid_of(surface: HeightMap, asked: BoolArray, room: Float32Array) -> _Grid:
-    tiles = [-(-cells // TILE) for cells in asked.shape]
-    pad = [(0, n * TILE - cells) for n, cells in zip(tiles, asked.shape, strict=True)]
-    top = surface.height + room
-    ends = []
-    for values, nothing, end in ((surface.height, np.inf, np.min), (top, -np.inf, np.max)):
-        padded = np.pad(np.where(asked, values, nothing), pad, constant_values=nothing)
-        ends.append(end(padded.reshape(tiles[0], TILE, tiles[1], TILE), axis=(1, 3)).astype(np.float32))
-    height, top = (np.where(asked, values, np.nan).astype(np.float32) for values in (surface.height, top))
-    return _Grid(height, top, ends[0], ends[1], np.asarray(surface.origin, dtype=np.float64), surface.cell_width)
+    height, top = (
+        np.where(asked, values, np.nan).astype(np.float32) for values in (surface.height, surface.height + room)
+    )
+    lowest, highest = over_blocks(height, TILE, np.fmin, np.inf), over_blocks(top, TILE, np.fmax, -np.inf)
+    origin = np.asarray(surface.origin, dtype=np.float64)
+    return _Grid(height, top, lowest, highest, origin, surface.cell_width)
 
 
 def _steps_beside(surface: HeightMap, asked: BoolArray, config: PerceptionConfig) -> tuple[Float32Array, BoolArray]:

@@ -15,7 +15,6 @@ from gpdf_service.ground.limits import neighbourhood, smoothed
 from gpdf_service.perception.site import Part
 from gpdf_service.perception.smooth import to_centres, with_rims
 from gpdf_service.tiles.boxes import Box
-from gpdf_service.tiles.columns import ends_in_plan, put_heights_in_plan
 from gpdf_service.tiles.layers import BLOCK, Layers
 from gpdf_service.tiles.surface import OBSERVED, UNKNOWN, HeightMap, cropped
 from gpdf_service.tiles.told import Grid
@@ -30,8 +29,8 @@ def part_of(layers: Layers, sheet: BoolArray) -> Part:
     """
     nodes, by = np.flatnonzero(sheet), ceil(OVERLAP / layers.cell_width) + 1
     (x, end_x), (y, end_y) = (
-        (max((low - by) // BLOCK * BLOCK, 0), min(((high + by) // BLOCK + 1) * BLOCK, size))
-        for (low, high), size in zip(ends_in_plan(layers.cell, layers.shape[1], nodes), layers.shape, strict=True)
+        (max((int(at.min()) - by) // BLOCK * BLOCK, 0), min(((int(at.max()) + by) // BLOCK + 1) * BLOCK, size))
+        for at, size in zip(np.divmod(layers.cell[nodes], layers.shape[1]), layers.shape, strict=True)
     )
     return Part(nodes, layers.origin + layers.cell_width * np.array([x, y]), (x, y), (end_x - x, end_y - y))
 
@@ -41,12 +40,10 @@ def sheet_surface(grid: Grid, layers: Layers, part: Part, max_step: float, noise
 
     What a flight is tells `max_step` [m], see `bridged`.
     """
-    nodes, origin = part.nodes, part.origin
     height, off = np.full(part.shape, np.nan, np.float32), np.zeros((*part.shape, 2), np.float32)
-    for rest, first, last in layers.strips(part.first[0], part.first[0] + part.shape[0]):
-        a, b = np.searchsorted(nodes, [first, last]).tolist()
-        own = layers.columns, nodes[a:b], rest.place, first, origin, layers.cell_width, part.first
-        put_heights_in_plan(*own, height, off)
+    at = np.column_stack(np.divmod(layers.cell[part.nodes], layers.shape[1])) - part.first
+    height[*at.T] = layers.height[part.nodes]
+    off[*at.T] = layers.taken(part.nodes).place - part.origin - (at + 0.5) * layers.cell_width
     pairs = off.view(np.complex64)[..., 0]  # each two in one, to be compared at once
     whole = HeightMap(part.origin, layers.cell_width, height, np.zeros(part.shape, np.uint8))
 

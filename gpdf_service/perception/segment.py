@@ -22,22 +22,12 @@ from gpdf_service.perception.parts import (
     accept_parts,
     build_parts,
     join_parts,
-    undersides,
-    without_ceilings,
     without_crumbs,
 )
+from gpdf_service.perception.slabs import undersides, without_ceilings
 from gpdf_service.perception.strides import BODY, find_between, find_footing, find_stances
 from gpdf_service.tiles.beside import Beside, Strips, beside, beside_now
-from gpdf_service.tiles.layers import (
-    Layers,
-    build_layers,
-    cell_width_of,
-    connect,
-    in_steps,
-    layer_gap,
-    nodes_of,
-    widest_cell,
-)
+from gpdf_service.tiles.layers import Layers, build_layers, connect, nodes_of
 from gpdf_service.tiles.nodes import (
     degrees,
     drops_beside,
@@ -51,6 +41,7 @@ from gpdf_service.tiles.nodes import (
 )
 from gpdf_service.tiles.pairs import medians_around
 from gpdf_service.tiles.pieces import find_pieces
+from gpdf_service.tiles.width import cell_width_of, in_steps, layer_gap, widest_cell
 from gpdf_service.types import BoolArray, FloatArray
 
 NO_SURFACE = ("ground", "no surface in the cloud is wide and level enough to stand on", "Is z up?")

@@ -11,7 +11,7 @@ from gpdf_service.ground.level import OVERLAP
 from gpdf_service.perception.segment import over_ground
 from gpdf_service.tiles.beside import Answer, Beside, Strips
 from gpdf_service.tiles.columns import by_cell
-from gpdf_service.tiles.layers import APART, HALF, Layers, Pairs, connect
+from gpdf_service.tiles.layers import APART, HALF, Layers, Pairs, connect, flat
 from gpdf_service.tiles.nodes import (
     attach,
     components,
@@ -57,7 +57,7 @@ def split_sheets(near: Beside, config: PerceptionConfig) -> tuple[BoolArray, ...
 
     def grow(name: str, sheet: BoolArray) -> BoolArray:
         beside = near.around(f"beside {name}", 1, rims, kept, near.given(name, sheet))[0]
-        return grown_sheet(layers.columns, keep, sheet, near.where(f"beside {name}", beside)[0], config.max_step, rings)
+        return grown_sheet(layers.columns, keep, sheet, np.flatnonzero(flat(beside)), config.max_step, rings)
 
     def rims(layers: Layers, _: BoolArray, keep: BoolArray, sheet: BoolArray) -> Answer:
         return (joined_to(layers.columns, keep & ~sheet, sheet, 0.0, config.max_step),)

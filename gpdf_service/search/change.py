@@ -149,33 +149,10 @@ def _change_tree(tree: Tree, gone: IntArray, lost: IntArray, fresh: FloatArray) 
     stay = np.ones(len(tree.points), dtype=bool)
     stay[gone] = False
     made, source = change_tree(tree, stay, np.ascontiguousarray(fresh))
-    return made._replace(order=_rows_now(tree.order, source, lost))
-
-
-@njit(cache=True, nogil=True)
-def _rows_now(order: IntArray, source: IntArray, lost: IntArray) -> IntArray:
-    """Row of each point of a tree among the former rows without those that are lost, and the fresh ones after them.
-
-    Args:
-        order: Former row of each point of the former tree.
-        source: Which of these each point is, or −1 − its number among the fresh ones.
-        lost: Rows, ascending.
-    """
-    before, made = np.searchsorted(lost, np.arange(0, len(order), _ROWS)), np.empty(len(source), np.int64)
-    for i in range(len(source)):
-        if source[i] < 0:
-            made[i] = len(order) - len(lost) - 1 - source[i]
-            continue
-        row = order[source[i]]
-        count = before[row // _ROWS]
-        while count < len(lost) and lost[count] < row:
-            count += 1
-        made[i] = row - count
-    return made
-
-
-_ROWS = 64
-"""Of which it is known how many before them are lost: so much of that stays in a core's cache."""
+    row = tree.order[np.maximum(source, 0)]
+    return made._replace(
+        order=np.where(source < 0, len(stay) - len(lost) - 1 - source, row - np.searchsorted(lost, row))
+    )
 
 
 def _part(level: GroundLevel, first: IntArray, region: BoolArray, reach: int, shut: int) -> GroundLevel:

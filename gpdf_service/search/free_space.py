@@ -23,9 +23,9 @@ from gpdf_service.search.layered import Layered
 from gpdf_service.search.places import Places, nearest_places, nearest_to
 from gpdf_service.search.quadtree import Quadtree, build_quadtree
 from gpdf_service.search.resplit import SplitQuadtree
-from gpdf_service.search.steps import count_noticed
+from gpdf_service.search.steps import NOTICED_STEP
 from gpdf_service.tiles import HeightMap
-from gpdf_service.tiles.surface import UNKNOWN
+from gpdf_service.tiles.surface import UNKNOWN, count_cells
 from gpdf_service.types import Agent, FloatArray, IntArray
 
 
@@ -61,7 +61,7 @@ class FreeSpace:
         surfaces: The ground.
         ground_fields: Ground GPDFs, 3D.
         steps: Height of the step at each cell of the ground [m].
-        noticed: How many of them one notices, by boxes of cells: see `count_noticed`.
+        noticed: How many of them one notices, by boxes of cells: see `count_cells`.
         slopes: Slope of the ground at each cell [rad].
         standing: What stops the body and stands.
         moving: What stops it and moves.
@@ -225,7 +225,7 @@ def join_levels(
         surfaces,
         tuple(part.ground_field for part in parts),
         tuple(part.measured[0] for part in parts),
-        tuple(count_noticed(part.measured[0]) for part in parts),
+        tuple(count_cells(part.measured[0] > NOTICED_STEP) for part in parts),
         tuple(part.measured[1] for part in parts),
         tuple(part.obstacles for part in parts),
         (NONE,) * len(parts),

@@ -23,6 +23,7 @@ from gpdf_service.search.places import Places
 from gpdf_service.search.quadtree import Quadtree
 from gpdf_service.search.resplit import Leaves, centers
 from gpdf_service.tiles.nodes import components
+from gpdf_service.tiles.rows import rows_among
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 
@@ -176,30 +177,17 @@ def same_leaves(old: Quadtree, tree: Quadtree) -> SameLeaves:
     now, was = np.full(len(old.code), -1), np.full(len(tree.code), -1)
     if (old.origin != tree.origin).any() or old.side != tree.side:
         return now, was
-    _match((old.code, old.size, old.free, old.whole), (tree.code, tree.size, tree.free, tree.whole), now, was)
+    row = rows_among(old.code, tree.code)
+    same = row >= 0
+    for one, other in ((old.size, tree.size), (old.free, tree.free), (old.whole, tree.whole)):
+        same &= one == other[row]
+    leaves = np.flatnonzero(same)
+    now[leaves], was[row[leaves]] = row[leaves], leaves
     return now, was
 
 
 Squares = tuple[FloatArray, float, IntArray, IntArray]
 """Origin, width of the smallest cells, and corner and size of each leaf of a quadtree."""
-
-
-@njit(cache=True, nogil=True)
-def _match(
-    old: tuple[IntArray, IntArray, BoolArray, BoolArray],
-    tree: tuple[IntArray, IntArray, BoolArray, BoolArray],
-    now: IntArray,
-    was: IntArray,
-) -> None:
-    """Write which leaves are the same ones, by code, size, free and whole; codes ascend."""
-    j = 0
-    for i in range(len(now)):
-        while j < len(was) and tree[0][j] < old[0][i]:
-            j += 1
-        if j == len(was):
-            break
-        if tree[0][j] == old[0][i] and tree[1][j] == old[1][i] and tree[2][j] == old[2][i] and tree[3][j] == old[3][i]:
-            now[i], was[j] = j, i
 
 
 @lean()
@@ -278,34 +266,22 @@ def _put_rows(edges: Edges, cost: FloatArray, first: IntArray, made: tuple[IntAr
             other[at], crossing[at, 0], crossing[at, 1], costs[at] = pairs[e, 1 - end], via[e, 0], via[e, 1], cost[e]
 
 
-@njit(cache=True, nogil=True)
 def price_edges(ends: FloatArray, via: FloatArray, clearance: FloatArray, radius: float) -> FloatArray:
     """Cost of edges [m], shape (e,), from their ends' places, (e, 2, 2) [m], crossings, and ends' clearance, (e, 2).
 
     An edge costs its length times 1 + max(0, 1 − (d − r)/r): up to twice where the body brushes past, once where there
     is as much room beside it as half its width. The factor is at least 1, so the Euclidean heuristic stays admissible.
     """
-    made = np.empty(len(via))
-    for e in range(len(via)):
-        made[e] = _price(ends[e, 0], ends[e, 1], via[e], min(clearance[e, 0], clearance[e, 1]), radius)
+    (x, y), room = np.moveaxis(ends - via[:, None], 2, 0), clearance.min(axis=1)
+    length = np.sqrt(x * x + y * y).sum(axis=1)
+    made: FloatArray = length * (1.0 + np.clip(1.0 - (room - radius) / radius, 0.0, 1.0))
     return made
 
 
-@njit(cache=True, nogil=True)
 def price_pairs(position: FloatArray, clearance: FloatArray, edges: Edges, radius: float) -> FloatArray:
     """`price_edges` of pairs of nodes, of all of which place [m] and clearance [m] are given."""
-    (pairs, via), made = edges, np.empty(len(edges[1]))
-    for e in range(len(via)):
-        a, b = pairs[e, 0], pairs[e, 1]
-        made[e] = _price(position[a], position[b], via[e], min(clearance[a], clearance[b]), radius)
-    return made
-
-
-@njit(cache=True, nogil=True)
-def _price(a: FloatArray, b: FloatArray, via: FloatArray, clearance: float, radius: float) -> float:
-    """Cost of an edge: see `price_edges`."""
-    length = sqrt((a[0] - via[0]) ** 2 + (a[1] - via[1]) ** 2) + sqrt((b[0] - via[0]) ** 2 + (b[1] - via[1]) ** 2)
-    return length * (1.0 + min(max(1.0 - (clearance - radius) / radius, 0.0), 1.0))
+    pairs, via = edges
+    return price_edges(position[pairs], via, clearance[pairs], radius)
 
 
 @dataclass(frozen=True, slots=True)

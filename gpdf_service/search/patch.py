@@ -9,8 +9,8 @@ from numba import njit
 
 from gpdf_service.search.graph import Edges, Graph, Patch, edges_of, far_end, price_edges
 from gpdf_service.search.layered import Layered, below
-from gpdf_service.search.resplit import is_among
 from gpdf_service.tiles.nodes import components
+from gpdf_service.tiles.rows import is_among, rows_of_runs
 from gpdf_service.types import FloatArray, IntArray
 
 
@@ -46,10 +46,8 @@ def around(graph: Graph, gone: IntArray) -> Around:
 
 def _edges_from(graph: Graph, nodes: IntArray) -> tuple[IntArray, IntArray]:
     """The edges of some nodes: from which of them, and their numbers."""
-    count = graph.first[nodes + 1] - graph.first[nodes]
-    before = np.cumsum(count) - count
-    source = np.repeat(nodes, count)
-    return source, np.repeat(graph.first[nodes] - before, count) + np.arange(len(source))
+    first, behind = graph.first[nodes], graph.first[nodes + 1]
+    return np.repeat(nodes, behind - first), rows_of_runs(first, behind)
 
 
 def patched(graph: Graph, lost: Around, fresh: Nodes, edges: Edges, clearance: FloatArray, radius: float) -> Graph:

@@ -22,17 +22,6 @@ class Places(NamedTuple):
 
 
 @lean()
-def distance_at(places: Places, x: Place, scratch: Scratch) -> float:
-    """Exact distance to the nearest of the places [m], 0 from what is no place, or where there are none."""
-    if len(places.standing.begin) < 2:
-        return float(nearest_along(places.moving, x, scratch)[0])
-    distance = nearest_along(places.standing, x, scratch)[0]
-    if len(places.moving.begin) < 2:
-        return float(distance)
-    return float(min(distance, nearest_at(places.moving, x, scratch)[0]))  # the next one starts at what stands
-
-
-@lean()
 def nearest_of(places: Places, x: Place, scratch: Scratch) -> tuple[float, int]:
     """Exact distance to the nearest of the places [m], and its row before it was in a tree; 0 and −1 for none."""
     distance, row = 0.0, -1
@@ -44,6 +33,12 @@ def nearest_of(places: Places, x: Place, scratch: Scratch) -> tuple[float, int]:
         if row < 0 or near < distance:
             distance, row = near, len(places.standing.points) + places.moving.order[at]
     return distance, row
+
+
+@lean()
+def distance_at(places: Places, x: Place, scratch: Scratch) -> float:
+    """Exact distance to the nearest of the places [m], 0 from what is no place, or where there are none."""
+    return float(nearest_of(places, x, scratch)[0])
 
 
 @njit(cache=True, nogil=True)

@@ -19,8 +19,8 @@ from gpdf_service.fields.traversal import nearest_at
 from gpdf_service.fields.tree import longer, make_scratch, place_of
 from gpdf_service.tiles import HeightMap
 from gpdf_service.tiles.boxes import span
-from gpdf_service.tiles.layers import exact
 from gpdf_service.tiles.surface import Cells, is_known, turned
+from gpdf_service.tiles.width import exact
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 MIN_WIDTH = 0.014
@@ -58,7 +58,7 @@ class Quadtree:
     @cached_property
     def center(self) -> FloatArray:
         """Centres of the leaves [m], shape (k, 2)."""
-        made: FloatArray = _centers(self.origin, self.width, self.corner, self.size)
+        made: FloatArray = self.origin + (self.corner + 0.5 * self.size[:, None]) * self.width
         return made
 
     @cached_property
@@ -107,15 +107,6 @@ class Quadtree:
         """Which leaves are among the `leaves`, shape (k,), or share a side or a corner with one of them."""
         found: BoolArray = _touching(self.code, self.side, self.corner, self.size, leaves)
         return found
-
-
-@njit(cache=True, nogil=True)
-def _centers(origin: FloatArray, width: float, corner: IntArray, size: IntArray) -> FloatArray:
-    made = np.empty((len(size), 2))
-    for i in range(len(size)):
-        for k in range(2):
-            made[i, k] = origin[k] + (corner[i, k] + 0.5 * size[i]) * width
-    return made
 
 
 @njit(cache=True, nogil=True)

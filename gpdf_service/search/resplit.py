@@ -16,6 +16,7 @@ from gpdf_service.search.layered import Layered
 from gpdf_service.search.places import Places, distance_at
 from gpdf_service.search.quadtree import ROUNDING, Quadtree, is_split, state_of
 from gpdf_service.tiles import HeightMap
+from gpdf_service.tiles.rows import is_among
 from gpdf_service.tiles.surface import Cells, is_known
 from gpdf_service.types import BoolArray, ByteArray, FloatArray, IntArray
 
@@ -142,15 +143,6 @@ def centers(tree: Leaves, leaves: IntArray) -> FloatArray:
     """Centres of some leaves [m], shape (m, 2)."""
     made: FloatArray = tree.origin + (tree.corner[leaves] + 0.5 * tree.size[leaves][:, None]) * tree.width
     return made
-
-
-def is_among(rows: IntArray, few: IntArray) -> BoolArray:
-    """Which of `rows` are among the `few`, which are ascending."""
-    if len(few) == 0:
-        return np.zeros(len(rows), dtype=bool)
-    at = np.minimum(np.searchsorted(few, rows), len(few) - 1)
-    found: BoolArray = few[at] == rows
-    return found
 
 
 def split_again(tree: Quadtree, surface: HeightMap, places: Places, radius: float) -> tuple[IntArray, Quadtree]:

@@ -6,17 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_service.kernel_cache import lean
-from gpdf_service.tiles.surface import Cells, cell_of, count_cells, count_in
+from gpdf_service.tiles.surface import Cells, cell_of, count_in
 from gpdf_service.types import FloatArray
 
 NOTICED_STEP = 0.03
 """[m] Lower steps do not slow anybody down: a sill of 2 cm is rolled over. Higher ones are not level ground."""
-
-
-def count_noticed(steps: FloatArray) -> NDArray[np.int32]:
-    """How many steps that are noticed there are, by boxes of cells: see `count_cells`."""
-    made: NDArray[np.int32] = count_cells(steps > NOTICED_STEP)
-    return made
 
 
 @lean()

@@ -28,8 +28,9 @@ from gpdf_service.search.graph import Edges, Graph, assemble
 from gpdf_service.search.landmarks import find_landmarks
 from gpdf_service.search.layered import below
 from gpdf_service.search.places import Places, nearest_of
-from gpdf_service.search.resplit import FELT, is_among
+from gpdf_service.search.resplit import FELT
 from gpdf_service.search.steps import NOTICED_STEP, is_stepped
+from gpdf_service.tiles.rows import is_among, rows_among
 from gpdf_service.tiles.surface import UNKNOWN, Cells, cell_of
 from gpdf_service.types import Agent, BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
@@ -331,14 +332,14 @@ def find_ways(able: FreeSpace, level: FreeSpace | None, prefer: Prefer, stand: W
         np.concatenate([getattr(space.core.graph, key) for space in spaces]) for key in ("position", "level")
     )
     was, node = _NOTHING if stand is None else stand.priced, _keys([space.core.node for space in spaces])
-    row = _rows_among(node, was.node)
+    row = rows_among(node, was.node)
     leaf, unseen, room = _price_nodes(spaces, (position, on), was, row)
     found = [_edges_of(space.core, k * len(able.core.node)) for k, space in enumerate(spaces)]
     if level is not None:
         found.append(_doors(able, level, leaf, room, position))
     numbers, pairs, via = zip(*found, strict=True)
     edge, edges = _keys(numbers), (np.concatenate(pairs), np.concatenate(via))
-    known, felt = _rows_among(edge, was.edge), row < 0
+    known, felt = rows_among(edge, was.edge), row < 0
     felt[~felt] = room[~felt] != was.room[row[~felt]]
     seconds, dear = np.empty(len(edge)), (known < 0) | felt[edges[0][:, 0]] | felt[edges[0][:, 1]]
     seconds[~dear] = was.seconds[known[~dear]]
@@ -390,12 +391,6 @@ def _edges_of(core: Core, first: int) -> tuple[IntArray, IntArray, FloatArray]:
     return core.edge[once], pairs, below(core.graph.via).take(once, axis=0)
 
 
-def _rows_among(values: IntArray, others: IntArray) -> IntArray:
-    """The row of each value among others that ascend, −1 of one that is not among them."""
-    row = np.minimum(np.searchsorted(others, values), len(others) - 1)
-    return np.where(others[row] == values, row, -1) if len(others) else np.full(len(values), -1)
-
-
 def _of_leaves(space: FreeSpace, name: str, node: IntArray, level: IntArray) -> NDArray[Any]:
     """A measure of leaves, by their nodes and levels, shape (k,)."""
     found = [getattr(tree, name)[node[level == on] - space.offsets[on]] for on, tree in enumerate(space.quadtrees)]
@@ -424,7 +419,7 @@ def _doors(
     """
     count = len(able.core.node)
     node = count + np.flatnonzero(room[count:] < level.radius + BORDER)
-    to = _rows_among(leaf[node], able.core.node)
+    to = rows_among(leaf[node], able.core.node)
     good = to >= 0
     good[good] = _of_leaves(able, "whole", leaf[node[good]], below(able.core.graph.level)[to[good]])
     node, to = node[good], to[good]

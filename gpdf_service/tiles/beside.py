@@ -147,59 +147,6 @@ class Beside:
         pairs = flat(self.told(name, given, make, spans)[0])
         return start[pairs[:, 0]] + pairs[:, 2], start[pairs[:, 1]] + pairs[:, 3]
 
-    def few(
-        self,
-        name: str,
-        nodes: IntArray,
-        rows: IntArray,
-        answer: Callable[..., NDArray[Any]],
-        own: Sequence[NDArray[Any]],
-        given: Sequence[Strips],
-    ) -> NDArray[Any]:
-        """What is told of a few nodes, or of what they are the first ones of, shape (m,).
-
-        Args:
-            name: Of the question.
-            nodes: Their numbers, which ascend, shape (m,).
-            rows: First and behind the last row of cells in which nodes, and what is given, decide, shape (m, 2).
-            answer: Called with layers of some rows of cells, numbers among their nodes of those of a strip, the first
-                row of all rows of the grid and behind the last one, what is their `own`, and what is given for all.
-            own: Of these nodes, arrays of shape (m, …).
-            given: For each node.
-        """
-        first, size = self.first, len(self.nodes)
-        cuts = np.searchsorted(nodes, first)
-        parts = [slice(int(cuts[i]), int(cuts[i + 1])) for i in range(size)]
-        asked = self.same(f"{name}, few", [nodes[part] - first[i] for i, part in enumerate(parts)])
-        held = [self.same(f"{name}, own {k}", [each[part] for part in parts]) for k, each in enumerate(own)]
-        low, high = np.arange(size), np.arange(size) + 1
-        strip = np.searchsorted(first, nodes, side="right") - 1
-        np.minimum.at(low, strip, rows[:, 0] // ROWS)
-        np.maximum.at(high, strip, -(-rows[:, 1] // ROWS))
-        spans = [slice(a, b) for a, b in zip(np.maximum(low, 0).tolist(), np.minimum(high, size).tolist(), strict=True)]
-
-        def make(begin: int, end: int) -> list[Answer]:
-            def one(i: int) -> Answer:
-                part = self.strips(spans[i].start, spans[i].stop)
-                at = asked[i] + (first[i] - first[spans[i].start])
-                box = np.array([ROWS * spans[i].start, ROWS * spans[i].stop])
-                return (answer(part, at, box, *(each[i] for each in held), *(flat(each[spans[i]]) for each in given)),)
-
-            return each_strip(one, begin, end)
-
-        return flat(self.told(name, (asked, *held, *given), make, spans)[0])
-
-    def where(self, name: str, kind: Strips, *given: Strips) -> tuple[NDArray[Any], ...]:
-        """The numbers of the nodes that are of a `kind`, shape (m,), and what is given for them."""
-        first = self.first
-
-        def make(begin: int, end: int) -> list[Answer]:
-            rows = [np.flatnonzero(kind[i]) for i in range(begin, end)]
-            return [(row, *(each[begin + i][row] for each in given)) for i, row in enumerate(rows)]
-
-        rows, *told = self.told(f"{name}, where", (kind, *given), make)
-        return np.concatenate([row + begin for row, begin in zip(rows, first, strict=False)]), *map(flat, told)
-
     def same(self, name: str, own: Sequence[NDArray[Any]]) -> Strips:
         """An array of each strip, and the one that was told before where it is the same."""
         if (was := self.former.get(name)) is None:

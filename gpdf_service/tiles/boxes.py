@@ -14,6 +14,8 @@ from gpdf_service.types import BoolArray
 Box = tuple[slice, slice]
 """Rows and columns of a grid."""
 WHOLE: Box = (slice(None), slice(None))
+SIDES = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=bool)
+"""The four neighbours of a cell, without itself."""
 
 
 def corner_of(box: Box) -> tuple[int, int]:
@@ -46,6 +48,18 @@ def span(cells: BoolArray) -> tuple[int, int, int, int]:
         left, right = min(left, x), x + 1
         near, far = min(near, first), max(far, last)
     return left, right, near, far
+
+
+def over_blocks(values: NDArray[Any], side: int, end: np.ufunc, none: float) -> NDArray[Any]:
+    """The least or the greatest of the values, (nx, ny), in each block of `side` by `side` cells, as `end` tells.
+
+    A NaN counts for nothing; where there is nothing it is `none`.
+    """
+    nx, ny = (-(-cells // side) for cells in values.shape)
+    pad = [(0, -cells % side) for cells in values.shape]
+    blocks = np.pad(values, pad, constant_values=np.nan).reshape(nx, side, ny, side)
+    made: NDArray[Any] = end.reduce(blocks, axis=(1, 3), initial=none)
+    return made
 
 
 def widened(cells: BoolArray, by: int) -> BoolArray:

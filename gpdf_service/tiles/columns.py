@@ -9,17 +9,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.fields.spacing import keep_least
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.tiles.pairs import Columns
 from gpdf_service.tiles.rows import INDEX
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 Grid = tuple[FloatArray, float, int, IntArray, FloatArray, int]
 """What tells the node of a point: corner and width of cells [m], how many a row has, first nodes; tops of nodes [m]
 from one on, and that one's number."""
-_Rest = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
-"""What of nodes is asked for in windows alone; see `Layers`."""
 BAND = 0.04
 """[m] Thickness of a surface as a scanner of a centimetre's noise sees it."""
 _FEW = 32
@@ -236,78 +232,6 @@ def tops_of_boards(
     return height
 
 
-@njit(cache=True, nogil=True)
-def ends_in_plan(cell: IntArray, ny: int, nodes: IntArray) -> tuple[tuple[int, int], tuple[int, int]]:
-    """First and last row, and first and last column, of the cells of some nodes; there must be one."""
-    left, right, near, far = cell[nodes[0]] // ny, cell[nodes[-1]] // ny, ny, 0  # nodes are sorted by cell
-    for i in nodes:
-        y = cell[i] % ny
-        near, far = min(near, y), max(far, y)
-    return (left, right), (near, far)
-
-
-@njit(cache=True, nogil=True)
-def put_heights_in_plan(
-    columns: Columns,
-    nodes: IntArray,
-    place: FloatArray,
-    begin: int,
-    origin: FloatArray,
-    width: float,
-    first: tuple[int, int],
-    made: NDArray[np.float32],
-    off: NDArray[np.float32],
-) -> None:
-    """Write the height [m] of the one of the `nodes` in each cell, and its place from the cell's centre.
-
-    Into arrays of shapes (nx, ny) and (nx, ny, 2), of a box of cells with that `first` one and `origin` [m]. Places
-    are told of nodes from number `begin` on.
-    """
-    cell, _, (_, columns_y), height, _ = columns
-    for i in nodes:
-        x, y = cell[i] // columns_y - first[0], cell[i] % columns_y - first[1]
-        made[x, y] = height[i]
-        off[x, y, 0] = place[i - begin, 0] - origin[0] - (x + 0.5) * width
-        off[x, y, 1] = place[i - begin, 1] - origin[1] - (y + 0.5) * width
-
-
-@njit(cache=True, nogil=True)
-def nodes_in_box(
-    start: IntArray, ny: int, corner: tuple[int, int], shape: tuple[int, int]
-) -> tuple[IntArray, IntArray, IntArray]:
-    """First node of each cell of a box in a grid of rows of `ny` cells, the cell of each node, and which it is of all.
-
-    Args:
-        start: First node of each cell of the grid, shape (cells + 1,).
-        ny: Of the grid.
-        corner: First cell of the box.
-        shape: Of the box.
-    """
-    first, count = np.zeros(shape[0] * shape[1] + 1, np.int64), 0
-    for x in range(shape[0]):
-        row = (corner[0] + x) * ny + corner[1]
-        count += start[row + shape[1]] - start[row]
-    cell, nodes, used = np.empty(count, np.int64), np.empty(count, np.int64), 0
-    for x in range(shape[0]):
-        for y in range(shape[1]):
-            c = (corner[0] + x) * ny + corner[1] + y
-            for node in range(start[c], start[c + 1]):
-                cell[used], nodes[used] = x * shape[1] + y, node
-                used += 1
-            first[x * shape[1] + y + 1] = used
-    return first, cell, nodes
-
-
-@njit(cache=True, nogil=True)
-def take_rest(nodes: IntArray, told: _Rest, made: _Rest) -> None:
-    """Write what is `told` of some nodes: their places, shape (k, 2), and the others, shape (k,)."""
-    (place, top, headroom, middle, face), (places, tops, rooms, middles, faces) = told, made
-    for i in range(len(nodes)):
-        n = nodes[i]
-        places[i, 0], places[i, 1] = place[n, 0], place[n, 1]
-        tops[i], rooms[i], middles[i], faces[i] = top[n], headroom[n], middle[n], face[n]
-
-
 Runs = list[tuple[bool, slice]]
 """Cells beside each other that all changed, or none of them, one run after another, and where their values lie."""
 
@@ -319,13 +243,9 @@ def runs_of(changed: BoolArray, start: IntArray, fresh: IntArray) -> Runs:
     return [(other, slice(int(place[a]), int(place[b]))) for other, place, a, b in found]
 
 
-@njit(cache=True, nogil=True)
 def starts_spliced(changed: BoolArray, start: IntArray, fresh: IntArray) -> IntArray:
     """Where each cell begins, shape (cells + 1,), when what is in the `changed` ones is taken from others."""
-    made = np.zeros(len(changed) + 1, np.int64)
-    for c in range(len(changed)):
-        made[c + 1] = made[c] + (fresh[c + 1] - fresh[c] if changed[c] else start[c + 1] - start[c])
-    return made
+    return np.append(0, np.cumsum(np.where(changed, np.diff(fresh), np.diff(start))))
 
 
 def values_spliced(runs: Runs, old: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:
@@ -410,68 +330,6 @@ def box_spliced(
         at, count = start[left] - start[cells[0]], start[right] - start[left]
         made[at : at + count] = fresh[used : used + count]
         used += count
-
-
-def column_floors(start: IntArray, order: IntArray, z: FloatArray, share: float) -> FloatArray:
-    """Height under which a `share` of the points of each column lies [m], shape (cells,); NaN in an empty one."""
-    floor = np.full(len(start) - 1, np.nan)
-    run_chunked(lambda a, b: _write_floors(start[a : b + 1], order, z, share, floor[a:b]), len(floor))
-    return floor
-
-
-@njit(cache=True, nogil=True)
-def _write_floors(start: IntArray, order: IntArray, z: FloatArray, share: float, floor: FloatArray) -> None:
-    for c in range(len(floor)):
-        count = start[c + 1] - start[c]
-        if count > 0:
-            at = int(share * count)
-            floor[c] = np.partition(z[order[start[c] : start[c + 1]]], at)[at]
-
-
-@njit(cache=True, nogil=True)
-def kth_beside(
-    points: FloatArray,
-    columns: tuple[IntArray, IntArray],
-    grid: tuple[FloatArray, float, tuple[int, int]],
-    picked: IntArray,
-    k: int,
-    distance: FloatArray,
-) -> None:
-    """Distance of each `picked` row to its `k`-th neighbour in its column and those around [m].
-
-    What is no further than a column is wide is exact, for all columns are looked at that may hold a nearer one.
-
-    Args:
-        points: Shape (n, 3) [m].
-        columns: Where each column begins, and the rows in that order.
-        grid: Lower corner [m], width [m] and shape of the columns.
-        picked: Rows, shape (m,).
-        k: Which neighbour.
-        distance: Where it is written, shape (m,).
-    """
-    (start, order), (corner, width, shape), near = columns, grid, np.empty(k + 1)
-    for i in range(len(picked)):
-        row = picked[i]
-        at_x, at_y = (points[row, 0] - corner[0]) / width, (points[row, 1] - corner[1]) / width
-        x, y = int(np.floor(at_x)), int(np.floor(at_y))
-        near[:] = np.inf
-        for dx, dy in _OWN_FIRST:
-            u, v = x + dx, y + dy
-            if not (0 <= u < shape[0] and 0 <= v < shape[1]):
-                continue
-            off = max(u - at_x, at_x - u - 1.0, 0.0) ** 2 + max(v - at_y, at_y - v - 1.0, 0.0) ** 2
-            if off * width**2 >= near[k]:
-                continue
-            for e in range(start[u * shape[1] + v], start[u * shape[1] + v + 1]):
-                other, square = order[e], 0.0
-                for axis in range(3):
-                    square += (points[other, axis] - points[row, axis]) ** 2
-                keep_least(near, square)
-        distance[i] = np.sqrt(near[k])
-
-
-_OWN_FIRST = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (-1, 1), (1, -1), (1, 1))
-"""A column and those around it, the one that likely holds the nearest neighbours first: most others are passed over."""
 
 
 @njit(cache=True, nogil=True)

@@ -9,125 +9,28 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_chunked, run_parallel
 from gpdf_service.tiles.boxes import Box, widened, window
 from gpdf_service.tiles.columns import (
     Grid,
-    by_cell,
-    column_floors,
     column_order,
-    compacted,
     count_nodes,
     cut_columns,
-    kth_beside,
-    nodes_in_box,
     runs_of,
     starts_spliced,
-    take_rest,
     tops_of_boards,
     values_spliced,
     write_nodes,
 )
 from gpdf_service.tiles.pairs import Columns, pairs_at
-from gpdf_service.tiles.rows import INDEX, bounds_of, cells_of, chosen_rows, rows_by_cell
+from gpdf_service.tiles.rows import INDEX, bounds_of, cells_of, rows_by_cell, rows_of_runs
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
-MIN_CELL = 0.05
-"""[m] Finer than a wheel or a foot feels, and a quarter of the smallest body's radius."""
-STEP = 0.1 * MIN_CELL
-"""[m] What is measured of a whole cloud counts in steps: its cells then stay when a part of it changes."""
 BOARD = 0.02
 """[m] Thinnest board that a tread is made of, less what a good scanner scatters."""
 THIN = 0.15
 """[m] A surface in a wide cell is no thicker: less than a stair's riser. What is thicker is two, or a face."""
-_SAMPLE = 4000
-"""Points of a floor whose neighbours are looked at: the median's error is then about 1 %."""
-_NEIGHBOUR = 8
-"""Which neighbour's distance tells the spacing: how near the first few are is mostly chance."""
-_REFLECTED = 0.05
-"""[-] Of the points of a column, those that may lie under its floor: reflections."""
-_COLUMN = 0.5
-"""[m] Wide enough to hold several floor points of any cloud that a body can be planned in."""
-
-
-def widest_cell(config: PerceptionConfig) -> float:
-    """Widest cells in whose middle the ground is no further than the widest gap from a sample anywhere in them [m].
-
-    Cells that must be as wide as this do not close the gaps of a floor: its samples are too far apart.
-    """
-    return exact(float(np.floor(np.sqrt(2.0) * config.widest_gap / STEP)) * STEP)
-
-
-def cell_width_of(points: FloatArray, config: PerceptionConfig) -> float:
-    """Cell width at which nearly every cell of a sampled floor is hit, `widest_cell` at most [m].
-
-    Density is not uniform: a dense chair must not speak for a sparse floor. So only the lowest points of each column
-    `_COLUMN` wide are looked at, which are floor nearly everywhere. At 1.5 × their spacing s (the mean distance to the
-    k-th neighbour is s √(k/π)) one cell in ten of a Poisson sample stays empty, which the height map closes.
-    """
-    corner, far = bounds_of(points)
-    shape = columns_over(corner, far, _COLUMN)
-    key, count, _ = compacted(cells_of(points, corner, _COLUMN, shape), shape[0] * shape[1])
-    z = np.ascontiguousarray(points[:, 2])
-    floor = column_floors(*by_cell(key, count), z, _REFLECTED)
-    floor_points = chosen_rows(points, np.abs(z - floor[key]) <= MIN_CELL)
-    k = min(_NEIGHBOUR, len(floor_points) - 1)
-    if k < 1:
-        return exact(MIN_CELL)
-    picked = np.arange(0, len(floor_points), max(1, len(floor_points) // _SAMPLE))
-    distance = _median_to(k, floor_points, picked, corner, far, 2.0 * MIN_CELL)
-    if distance > 2.0 * MIN_CELL:
-        distance = _median_to(k, floor_points, picked, corner, far, _COLUMN)
-    if distance > _COLUMN:
-        distance = float(np.median(cKDTree(floor_points).query(floor_points[picked], k=k + 1, workers=-1)[0][:, k]))
-    return min(exact(max(MIN_CELL, in_steps(1.5 * distance * float(np.sqrt(np.pi / k))))), widest_cell(config))
-
-
-def exact(width: float) -> float:
-    """A width whose multiples are no rounded numbers: a cell has the same corners in each box of a grid [m].
-
-    It is no wider than asked for, so that as many cells are in a length as are in it: five of 5 cm in a foot's 25 cm.
-    """
-    near = np.float32(width)
-    return float(near if float(near) <= width else np.nextafter(near, np.float32(0.0)))
-
-
-def columns_over(corner: FloatArray, far: FloatArray, width: float) -> tuple[int, int]:
-    """How many columns of `width` there are from one corner to the other [m]."""
-    x, y = np.floor((far - corner) / width).astype(np.int64) + 1
-    return int(x), int(y)
-
-
-def _median_to(
-    k: int, points: FloatArray, picked: IntArray, corner: FloatArray, far: FloatArray, width: float
-) -> float:
-    """Median distance of the `picked` points to their `k`-th neighbour [m]; exact if it is at most `width`.
-
-    Infinite where the columns are too many for the points, most of them empty.
-    """
-    shape, each = columns_over(corner, far, width), np.empty(len(picked))
-    cell, count, held = compacted(cells_of(points, corner, width, shape), shape[0] * shape[1])
-    if len(held):
-        return np.inf
-    columns = by_cell(cell, count)
-    own = points, columns, (corner, width, shape)
-    run_chunked(lambda a, b: kth_beside(*own, picked[a:b], k, each[a:b]), len(picked))
-    return float(np.median(each))
-
-
-def in_steps(length: float, step: float = STEP) -> float:
-    """A measured length rounded up to whole steps [m]: a cloud that changes a little is measured as before."""
-    return float(np.ceil(round(length / step, 6))) * step
-
-
-def layer_gap(width: float, config: PerceptionConfig) -> float:
-    """Room between two layers of columns that are `width` wide [m]."""
-    return max(config.min_headroom, 1.5 * width)
-
-
 BLOCK = 32
 """Cells a side of the blocks that grids and levels' boxes are made of: two metres of a room's."""
 STRIP = 64
@@ -223,12 +126,12 @@ class Layers:
 
     def taken(self, nodes: IntArray) -> Rest:
         """The rest of some nodes, whose numbers ascend."""
-        made = Rest(np.empty((len(nodes), 2)), *(np.empty(len(nodes)) for _ in Rest._fields[1:]))
-        low, high = (self.cell[nodes[[0, -1]]] // self.shape[1]).tolist() if len(nodes) else (0, -1)
+        low, high = (self.cell[nodes[[0, -1]]] // self.shape[1]).tolist() if len(nodes) else (0, 0)
+        parts = []
         for own, first, last in self.strips(low, high + 1):
             a, b = np.searchsorted(nodes, [first, last]).tolist()
-            take_rest(nodes[a:b] - first, own, Rest(*(each[a:b] for each in made)))
-        return made
+            parts.append([each.take(nodes[a:b] - first, axis=0) for each in own])
+        return Rest(*map(flat, zip(*parts, strict=True)))
 
     @property
     def columns(self) -> Columns:
@@ -313,7 +216,9 @@ def crop_layers(layers: Layers, box: Box) -> tuple[Layers, IntArray]:
     """The layers of a box of cells, and which nodes of all they are, shape (k,)."""
     rows, columns = box
     first, shape = (rows.start, columns.start), (rows.stop - rows.start, columns.stop - columns.start)
-    start, cell, nodes = nodes_in_box(layers.start, layers.shape[1], first, shape)
+    begin, end = (each.reshape(layers.shape)[box].ravel() for each in (layers.start[:-1], layers.start[1:]))
+    start, nodes = np.append(0, np.cumsum(end - begin)), rows_of_runs(begin, end)
+    cell = np.repeat(np.arange(len(begin)), end - begin)
     origin = layers.origin + layers.cell_width * np.array(first)
     own = cell, layers.height.take(nodes), layers.thickness.take(nodes), start, ()
     return Layers(origin, layers.cell_width, shape, *own, (layers, nodes)), nodes

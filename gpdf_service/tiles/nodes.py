@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -53,35 +51,6 @@ def numbered(parent: IntArray) -> IntArray:
         else:
             label[i] = label[parent[i]]
     return label
-
-
-@njit(cache=True, nogil=True)
-def add_rows(values: NDArray[Any], to: IntArray, made: NDArray[Any]) -> None:
-    """Add each row of the values (n, d) `to` a row of what is made (m, d)."""
-    for i in range(len(values)):
-        for k in range(values.shape[1]):
-            made[to[i], k] += values[i, k]
-
-
-@njit(cache=True, nogil=True)
-def heights_of(label: IntArray, height: FloatArray, labels: int) -> FloatArray:
-    """How many nodes have each label, and the sum of their heights [m], shape (labels, 2)."""
-    sums = np.zeros((labels, 2))
-    for i in range(len(label)):
-        sums[label[i], 0] += 1.0
-        sums[label[i], 1] += height[i]
-    return sums
-
-
-@njit(cache=True, nogil=True)
-def touched_by(a: IntArray, b: IntArray, among: BoolArray, others: BoolArray) -> BoolArray:
-    """Which nodes, of those `among` all, a pair (a, b) joins to one of the `others`, shape (k,)."""
-    found = np.zeros(len(among), np.bool_)
-    for e in range(len(a)):
-        i, j = a[e], b[e]
-        found[i] |= among[i] and others[j]
-        found[j] |= among[j] and others[i]
-    return found
 
 
 @njit(cache=True, nogil=True)

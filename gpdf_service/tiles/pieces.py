@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gpdf_service.tiles.beside import Answer, Beside, Strips, each_strip, spans_of
 from gpdf_service.tiles.layers import flat
-from gpdf_service.tiles.nodes import add_rows, components, count_labels, extents_of, pairs_on, pieces_of, plan_sums
+from gpdf_service.tiles.nodes import components, count_labels, extents_of, pairs_on, pieces_of, plan_sums
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 
@@ -69,9 +69,8 @@ class Pieces:
             return each_strip(one, begin, end)
 
         sums = np.concatenate(self.near.told(f"{name}, totals", (self.label, *given), make)[0])
-        made = np.zeros((self.count + 1, sums.shape[1]), sums.dtype)
-        add_rows(sums, self.number, made)
-        return made[:-1]
+        totals = [np.bincount(self.number, column, self.count + 1)[:-1] for column in sums.T]
+        return np.column_stack(totals).astype(sums.dtype)  # of whole numbers they are exact
 
     def counts(self, name: str, *kinds: Strips) -> IntArray:
         """How many nodes of each of the `kinds` there are in each piece, shape (kinds, pieces)."""
@@ -141,7 +140,4 @@ def find_pieces(near: Beside, name: str, inner: Strips, rise: float, step: float
 
 def _count(_: slice, label: NDArray[Any], labels: int, *kinds: BoolArray) -> IntArray:
     """How many nodes of each kind have each label, shape (labels, kinds)."""
-    made = np.empty((labels, len(kinds)), np.int64)
-    for k, kind in enumerate(kinds):
-        made[:, k] = count_labels(label, kind, labels)
-    return made
+    return np.column_stack([count_labels(label, kind, labels) for kind in kinds])

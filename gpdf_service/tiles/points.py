@@ -12,7 +12,6 @@ from numba import njit
 from gpdf_service.fields.tree import longer
 from gpdf_service.tiles.boxes import span
 from gpdf_service.tiles.columns import by_cell
-from gpdf_service.tiles.layers import columns_over
 from gpdf_service.tiles.rows import (
     INDEX,
     bounds_of,
@@ -21,6 +20,7 @@ from gpdf_service.tiles.rows import (
     rows_in_cells,
     taken,
 )
+from gpdf_service.tiles.width import columns_over
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 SQUARE = 0.25

@@ -76,20 +76,17 @@ def rows_in_cells(points: FloatArray, origin: FloatArray, cell_width: float, wan
     return found[:used]
 
 
-@njit(cache=True, nogil=True)
 def rows_by_cell(wanted: BoolArray, start: IntArray) -> IntArray:
     """Rows of the points in the `wanted` cells, shape (nx, ny), of points by cell, where each begins at its `start`."""
-    ny, count, used, (left, right, near, far) = wanted.shape[1], 0, 0, span(wanted)
-    for x in range(left, right):
-        for y in range(near, far):
-            count += start[x * ny + y + 1] - start[x * ny + y] if wanted[x, y] else 0
-    made = np.empty(count, np.int64)
-    for x in range(left, right):
-        for y in range(near, far):
-            for row in range(start[x * ny + y], start[x * ny + y + 1] if wanted[x, y] else 0):
-                made[used] = row
-                used += 1
-    return made
+    cells = np.flatnonzero(wanted)
+    return rows_of_runs(start[cells], start[cells + 1])
+
+
+def rows_of_runs(first: IntArray, behind: IntArray) -> IntArray:
+    """Rows of runs one after another: of each the first, and the one behind the last."""
+    count = behind - first
+    rows: IntArray = np.arange(count.sum()) + np.repeat(first - (np.cumsum(count) - count), count)
+    return rows
 
 
 @njit(cache=True, nogil=True)
@@ -123,6 +120,22 @@ def chosen_rows(points: FloatArray, chosen: BoolArray, fresh: FloatArray = _NO_P
     _keep_rows(points, chosen, made)
     made[count:-1] = fresh
     return made[:-1]
+
+
+def rows_among(values: IntArray, others: IntArray) -> IntArray:
+    """The row of each value among others that ascend, −1 of one that is not among them."""
+    if len(others) == 0:
+        return np.full(len(values), -1)
+    row = np.minimum(np.searchsorted(others, values), len(others) - 1)
+    return np.where(others[row] == values, row, -1)
+
+
+def is_among(values: IntArray, others: IntArray) -> BoolArray:
+    """Which of the values are among others that ascend."""
+    found: BoolArray = np.zeros(len(values), dtype=bool)
+    if len(others):
+        found = others[np.minimum(np.searchsorted(others, values), len(others) - 1)] == values
+    return found
 
 
 def rows_spliced(values: NDArray[Any], gone: IntArray, fresh: NDArray[Any]) -> NDArray[Any]:

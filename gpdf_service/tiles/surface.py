@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.kernel_cache import lean
-from gpdf_service.tiles.boxes import WHOLE, Box, corner_of
+from gpdf_service.tiles.boxes import WHOLE, Box, corner_of, over_blocks
 from gpdf_service.tiles.nearest import nearest_of
 from gpdf_service.tiles.rows import cells_in_box
 from gpdf_service.tiles.told import moved, unlike
@@ -57,8 +57,8 @@ class HeightMap:
     @cached_property
     def ends(self) -> NDArray[np.float32]:
         """Lowest and highest ground of each block of cells [m], inf and −inf where there is none; for `rise_around`."""
-        made: NDArray[np.float32] = _ends_of_blocks(self.height)
-        return made
+        ends = (over_blocks(self.height, BLOCK, *end) for end in ((np.fmin, np.inf), (np.fmax, -np.inf)))
+        return np.stack(list(ends), axis=-1)
 
     @cached_property
     def inferred(self) -> NDArray[np.int32]:
@@ -90,9 +90,8 @@ class HeightMap:
 
     def centres(self, mask: BoolArray) -> FloatArray:
         """Centres of the cells in `mask`, shape (nx, ny), with their height: (k, 3) [m]."""
-        found = np.empty((np.count_nonzero(mask), 3))
-        _centres(self.arrays, mask, found)
-        return found
+        at = np.nonzero(mask)
+        return np.column_stack([self.origin + (np.column_stack(at) + 0.5) * self.cell_width, self.height[at]])
 
 
 def changed(old: HeightMap, new: HeightMap) -> BoolArray:
@@ -171,30 +170,13 @@ def _cells(
     return ix, iy, inside
 
 
-@njit(cache=True, nogil=True)
-def _centres(ground: Cells, mask: BoolArray, made: FloatArray) -> None:
-    used = 0
-    for x in range(mask.shape[0]):
-        for y in range(mask.shape[1]):
-            if mask[x, y]:
-                made[used, 0] = ground.origin[0] + (x + 0.5) * ground.width
-                made[used, 1] = ground.origin[1] + (y + 0.5) * ground.width
-                made[used, 2] = ground.height[x, y]
-                used += 1
-
-
-@njit(cache=True, nogil=True)
 def count_cells(mask: BoolArray) -> NDArray[np.int32]:
     """How many of the first i rows and j columns of cells, (nx, ny), are in a mask: shape (nx + 1, ny + 1).
 
     Four of these numbers tell of any box of cells, however large it is (Crow 1984).
     """
     made = np.zeros((mask.shape[0] + 1, mask.shape[1] + 1), np.int32)
-    for i in range(mask.shape[0]):
-        row = 0
-        for j in range(mask.shape[1]):
-            row += mask[i, j]
-            made[i + 1, j + 1] = made[i, j + 1] + row
+    mask.cumsum(axis=0, dtype=np.int32).cumsum(axis=1, out=made[1:, 1:])
     return made
 
 
@@ -203,18 +185,6 @@ def count_in(counts: NDArray[np.int32], u0: int, u1: int, v0: int, v1: int) -> i
     """How many cells of rows u0 to u1 and columns v0 to v1, the last ones not among them, are in the mask."""
     count: int = counts[u1, v1] - counts[u0, v1] - counts[u1, v0] + counts[u0, v0]
     return count
-
-
-@njit(cache=True, nogil=True)
-def _ends_of_blocks(height: NDArray[np.float32]) -> NDArray[np.float32]:
-    nx, ny = height.shape
-    made = np.empty((-(-nx // BLOCK), -(-ny // BLOCK), 2), np.float32)
-    made[..., 0], made[..., 1] = np.inf, -np.inf
-    for i in range(nx):
-        for j in range(ny):
-            block, z = made[i // BLOCK, j // BLOCK], height[i, j]
-            block[0], block[1] = z if z < block[0] else block[0], z if z > block[1] else block[1]  # a NaN is neither
-    return made
 
 
 @lean()

@@ -10,6 +10,7 @@ from gpdf_service.ground.limits import step_and_slope
 from gpdf_service.perception.holes import fill_holes
 from gpdf_service.perception.levels import survey_levels
 from gpdf_service.perception.smooth import to_centres, with_rims
+from gpdf_service.perception.voids import Voids
 from gpdf_service.tiles.surface import OBSERVED, UNKNOWN, HeightMap, nearest_seen
 from gpdf_service.tiles.told import new_grid
 
@@ -129,7 +130,7 @@ def test_a_platform_that_a_human_takes_is_one_at_5_cm_of_noise(seed):
 
 def fill_gaps(height, noise=0.0):
     nothing = np.zeros(height.shape, dtype=bool)
-    seen, nowhere = ground(height), (nothing,) * 4
+    seen, nowhere = ground(height), Voids(*(nothing,) * 4)
     grid, near = new_grid(height.shape), nearest_seen(seen)
     return fill_holes(seen, grid, near, 3 * (nothing,), nowhere, PerceptionConfig(), noise).height
 

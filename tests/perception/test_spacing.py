@@ -7,7 +7,7 @@ import gpdf_service as gpdf
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.ground.footing import rings_of
 from gpdf_service.perception.levels import survey_levels
-from gpdf_service.tiles.layers import MIN_CELL, cell_width_of, widest_cell
+from gpdf_service.tiles.width import MIN_CELL, cell_width_of, widest_cell
 
 CONFIG = PerceptionConfig()
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gpdf_service.search.steps import NOTICED_STEP, count_noticed, count_steps, is_near_step, is_stepped
-from gpdf_service.tiles.surface import OBSERVED, Cells
+from gpdf_service.search.steps import NOTICED_STEP, count_steps, is_near_step, is_stepped
+from gpdf_service.tiles.surface import OBSERVED, Cells, count_cells
 
 
 def ground_of(steps):
@@ -17,7 +17,7 @@ def ground_of(steps):
 def test_a_step_is_found_in_a_box_just_as_by_looking_at_each_cell():
     rng = np.random.default_rng(3)
     steps = np.where(rng.random((17, 23)) < 0.02, 0.1, rng.uniform(0.0, NOTICED_STEP, (17, 23)))
-    ground, noticed = ground_of(steps), count_noticed(steps)
+    ground, noticed = ground_of(steps), count_cells(steps > NOTICED_STEP)
     found = set()
     for u, v, reach in zip(
         rng.integers(17, size=500), rng.integers(23, size=500), rng.integers(5, size=500), strict=True
@@ -34,7 +34,7 @@ def test_a_step_is_found_in_a_box_just_as_by_looking_at_each_cell():
 def test_a_way_is_near_a_step_that_it_passes():
     steps = np.zeros((40, 40))
     steps[20, 20] = 0.2
-    ground, noticed = ground_of(steps), count_noticed(steps)
+    ground, noticed = ground_of(steps), count_cells(steps > NOTICED_STEP)
     way = np.array([[-0.9, 4.0], [2.9, 4.0]])
     assert is_near_step(way, ground, noticed, 0.25)
     assert not is_near_step(way + np.array([0.0, 0.9]), ground, noticed, 0.25)

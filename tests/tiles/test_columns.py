@@ -7,10 +7,10 @@ from scipy.spatial import cKDTree
 
 from gpdf_service.ground.level import within_reach
 from gpdf_service.ground.limits import median_around
-from gpdf_service.perception.holes import find_rims, find_voids
 from gpdf_service.perception.strays import find_strays
+from gpdf_service.perception.voids import find_rims, find_voids
 from gpdf_service.tiles.boxes import highest_around, lowest_around, widened
-from gpdf_service.tiles.columns import by_cell, ends_of_runs, kth_beside, unlike_cells
+from gpdf_service.tiles.columns import by_cell, ends_of_runs, unlike_cells
 from gpdf_service.tiles.layers import build_layers, nodes_of, splice_layers
 from gpdf_service.tiles.rows import (
     between,
@@ -25,6 +25,7 @@ from gpdf_service.tiles.rows import (
     taken,
 )
 from gpdf_service.tiles.surface import HeightMap, cells_within, nearest_seen
+from gpdf_service.tiles.width import kth_beside
 
 CORNER, WIDTH, SHAPE = np.array([-1.0, -2.0]), 0.3, (21, 14)
 

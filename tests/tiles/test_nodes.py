@@ -12,7 +12,6 @@ from gpdf_service.perception.bumps import raised_over_sides
 from gpdf_service.perception.strides import find_stances, find_strides
 from gpdf_service.tiles.beside import beside, beside_now
 from gpdf_service.tiles.boxes import widened
-from gpdf_service.tiles.columns import ends_in_plan, put_heights_in_plan
 from gpdf_service.tiles.layers import build_layers, connect, crop_layers, steady
 from gpdf_service.tiles.nodes import (
     attach,
@@ -168,18 +167,9 @@ def ask(near, far, config, looked=None):
 
     one, other = near.joins("strides", 5, strides, stance, named)
     ends = np.column_stack([pieces.at(one), pieces.at(other)])
-    nodes, most = near.where("raised", near.around("some", 0, lambda _, __, each: (each > 0.0,), raised)[0], raised)
-    row = own.cell[nodes] // own.shape[1]
-
-    def highest(part, asked, box, most, raised):
-        cell = part.cell // part.shape[1] + box[0]
-        at = cell[asked]
-        return np.array([raised[np.abs(cell - x) <= 3].max() for x in at]) + most
-
-    few = near.few("highest", nodes, np.column_stack([row - 3, row + 4]), highest, (most,), (raised,))
-    again = near.among("few", nodes[few > 0.1])
-    told = (raised, stance, again, pieces.label)
-    return *map(np.concatenate, told), pieces.number, pieces.start, in_order((*ends.T, one, other)), few
+    few = near.among("few", np.flatnonzero(np.concatenate(raised) > 0.1))
+    told = (raised, stance, few, pieces.label)
+    return *map(np.concatenate, told), pieces.number, pieces.start, in_order((*ends.T, one, other))
 
 
 @pytest.mark.parametrize("rows", [3, 7, 64])
@@ -252,24 +242,13 @@ def in_order(pairs):
     return rows[np.lexsort(rows.T)]
 
 
-def test_sums_in_plan_and_heights_in_plan_are_those_of_numpy(layers):
+def test_sums_in_plan_are_those_of_numpy(layers):
     rng = np.random.default_rng(4)
     keep, label = rng.random(len(layers.cell)) < 0.5, rng.integers(0, 5, len(layers.cell))
     x, y = np.divmod(layers.cell, layers.shape[1])
     sums = plan_sums(layers.cell, layers.shape[1], keep, label, 5)
     for k, values in enumerate((np.ones(len(x)), x, y, x * x, y * y, x * y)):
         np.testing.assert_array_equal(sums[:, k], np.bincount(label, values * keep, minlength=5))
-    nodes = np.unique(layers.cell, return_index=True)[1]
-    grid = layers.origin, layers.cell_width
-    height, off = np.full(layers.shape, np.nan, np.float32), np.zeros((*layers.shape, 2), np.float32)
-    put_heights_in_plan(layers.columns, nodes, layers.place, 0, *grid, (0, 0), height, off)
-    (left, right), (near, far) = ends_in_plan(layers.cell, layers.shape[1], nodes)
-    assert (left, right, near, far) == (x.min(), x.max(), y.min(), y.max())
-    np.testing.assert_array_equal(height[x[nodes], y[nodes]], layers.height[nodes].astype(np.float32))
-    assert np.isfinite(height).sum() == len(nodes)
-    assert np.abs(off).max() <= 0.5 * layers.cell_width + 1e-6
-    centre = layers.origin + (np.column_stack([x, y])[nodes] + 0.5) * layers.cell_width
-    np.testing.assert_allclose(centre + off[x[nodes], y[nodes]], layers.place[nodes], atol=1e-6)
 
 
 def test_the_layers_of_a_box_are_those_of_its_columns(layers):

@@ -5,6 +5,7 @@ import pytest
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.holes import fill_holes
+from gpdf_service.perception.voids import Voids
 from gpdf_service.tiles.boxes import highest_around
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, nearest_seen
 from gpdf_service.tiles.told import boxes_of, grown, new_grid
@@ -36,7 +37,7 @@ def place(rng, rough=0.003):
 def fill(grid, height, *others):
     state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
     seen, (material, at_floor, *voids) = HeightMap(np.zeros(2), WIDTH, height, state), others
-    return fill_holes(seen, grid, nearest_seen(seen), (material, at_floor, material), voids, PerceptionConfig())
+    return fill_holes(seen, grid, nearest_seen(seen), (material, at_floor, material), Voids(*voids), PerceptionConfig())
 
 
 @pytest.mark.parametrize("seed", range(12))
