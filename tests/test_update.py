@@ -66,6 +66,17 @@ def test_what_is_put_onto_the_floor_leaves_nodes_and_fields_of_the_ground_as_the
     assert not differences(above, from_scratch(above))
 
 
+def test_what_hangs_over_a_body_leaves_its_obstacles_and_its_graph_as_they_were(office):
+    points, before = box((2.0, 2.0, 2.2), (2.8, 2.8, 2.3)), office.free_space("human")
+    hung = office.update(insert=points, ground=np.zeros(len(points), dtype=bool))
+    after = hung.free_space("human")
+    assert len(hung.levels.levels[0].other_points) == len(office.levels.levels[0].other_points) + len(points)
+    for name in ("graph", "core"):
+        assert getattr(after, name) is getattr(before, name)
+    assert after.standing[0] is before.standing[0]
+    assert not differences(hung, from_scratch(hung))
+
+
 def test_what_is_new_stands_in_the_way_and_the_old_version_does_not_know(office, blocked):
     assert gpdf.plan(office, (2.4, 2.4), (0.9, 0.9)).status == gpdf.Status.OK
     assert gpdf.plan(blocked, (2.4, 2.4), (0.9, 0.9)).status == gpdf.Status.START_OCCUPIED

@@ -14,7 +14,7 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.heights import make_sums
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.perception.bend import FINE, FLAT, bend_at, reach_of
-from gpdf_service.perception.notches import fill_notches, notches_reach
+from gpdf_service.perception.notches import beside_treads, fill_notches, flights_reach, notches_reach
 from gpdf_service.perception.voids import MAX_HOLE_RADIUS, RING_SHARE, Voids, near_hollow, walled_down
 from gpdf_service.tiles.boxes import Box, window
 from gpdf_service.tiles.columns import by_cell
@@ -82,14 +82,18 @@ def fill_holes(
         return surface
     height, state = _fill_gaps(grid, "gaps", surface.height, surface.state, surface, noise)
 
+    def flight(_: Box, height: Float32Array, state: ByteArray) -> tuple[BoolArray]:
+        return (beside_treads(replace(surface, height=height, state=state), config),)
+
     def notched(
-        _: Box, height: Float32Array, state: ByteArray, beneath: BoolArray, stands: BoolArray
+        _: Box, height: Float32Array, state: ByteArray, flight: BoolArray, beneath: BoolArray, stands: BoolArray
     ) -> tuple[Float32Array, ByteArray]:
-        made = fill_notches(replace(surface, height=height, state=state), beneath, stands, config)
+        made = fill_notches(replace(surface, height=height, state=state), flight, beneath, stands, config)
         return made.height, made.state
 
     held, at_floor, over = material
-    given = height, state, voids.through | voids.pit, over
+    (treads,) = grid.around("flights", flights_reach(surface), flight, height, state)
+    given = height, state, treads, voids.through | voids.pit, over
     height, state = grid.around("notches", notches_reach(surface, config), notched, *given)
     known = state != UNKNOWN
     ends = _no_holes(grid, surface, near, voids)

@@ -35,7 +35,19 @@ Told = tuple[BoolArray, BoolArray]
 """Cells in which something stands, and those under which something was seen, each of shape (nx, ny)."""
 
 
-def fill_notches(surface: HeightMap, beneath: BoolArray, stands: BoolArray, config: PerceptionConfig) -> HeightMap:
+def beside_treads(surface: HeightMap, config: PerceptionConfig) -> BoolArray:
+    """Cells of flights and their landings, shape (nx, ny)."""
+    return flights(surface, config.max_step, FLIGHT)
+
+
+def flights_reach(surface: HeightMap) -> int:
+    """Cells within which the ground decides on a flight."""
+    return int(FLIGHT / surface.cell_width) + 1
+
+
+def fill_notches(
+    surface: HeightMap, flight: BoolArray, beneath: BoolArray, stands: BoolArray, config: PerceptionConfig
+) -> HeightMap:
     """Fill what is unknown of a flight and no wider than a foot bridges, `widest_gap`: closing by a disc that wide.
 
     A nose hides the back of the tread below, and a scan from far shows strips. Such a place is of the tread around it,
@@ -47,11 +59,12 @@ def fill_notches(surface: HeightMap, beneath: BoolArray, stands: BoolArray, conf
 
     Args:
         surface: The ground.
+        flight: `beside_treads`.
         beneath: Cells under which something was seen, deeper than a step, shape (nx, ny).
-        stands: Cells in which something may stand, shape (nx, ny).
+        stands: Cells in which something lies over the nearest ground, shape (nx, ny).
         config: Limits.
     """
-    flight, width = flights(surface, config.max_step, FLIGHT), surface.cell_width
+    width = surface.cell_width
     box = window(flight, int((NOTCH_SPAN + NOTCH_DEPTH) / width) + 2)  # nothing else is filled, or tells what is
     height, state = surface.height.copy(), surface.state.copy()
     own, known, flight = np.ascontiguousarray(height[box]), surface.state[box] != UNKNOWN, flight[box]
@@ -71,8 +84,8 @@ def fill_notches(surface: HeightMap, beneath: BoolArray, stands: BoolArray, conf
 
 
 def notches_reach(surface: HeightMap, config: PerceptionConfig) -> int:
-    """Cells within which the ground decides on a notch: flights, bites out of them, soles, and discs on these."""
-    lengths = FLIGHT, max(FLIGHT, NOTCH_SPAN + NOTCH_DEPTH), 3.0 * SOLE, 1.5 * config.widest_gap
+    """Cells within which ground and flights decide on a notch: bites out of them, soles, and discs on these."""
+    lengths = max(FLIGHT, NOTCH_SPAN + NOTCH_DEPTH), 3.0 * SOLE, 1.5 * config.widest_gap
     return sum(int(length / surface.cell_width) + 2 for length in lengths)
 
 

@@ -105,6 +105,8 @@ def _change_obstacles(
     key = [hashed(each.points.view(np.uint64), each.kind, own) for each, own in rows]
     other = more_now(np.concatenate(key), len(gone)) != 0
     gone, inside = gone[other[: len(gone)]], inside[other[len(gone) :]]
+    if len(gone) == len(inside) == 0:
+        return was.obstacles, was.tree, np.zeros((0, 2))
     lost, fresh = np.sort(was.tree.order[gone]), found.points[inside]
     points = rows_spliced(was.obstacles.points, lost, fresh)
     kind = rows_spliced(was.obstacles.kind, lost, found.kind[inside])

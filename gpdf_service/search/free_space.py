@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from operator import is_
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -70,6 +71,7 @@ class FreeSpace:
         obstacle_fields: Obstacle GPDFs, 2D.
         quadtrees: Free leaves.
         edges: Neighbouring leaves of each level: their pairs and crossings, see `find_edges`.
+        doors: Edges from level to level: pairs of graph nodes, and where.
         offsets: First graph node of each level's leaves.
         graph: All free leaves, connected.
         core: The leaves that ways lead over.
@@ -93,6 +95,7 @@ class FreeSpace:
     obstacle_fields: tuple[Nearer, ...]
     quadtrees: tuple[Quadtree | SplitQuadtree, ...]
     edges: tuple[Edges, ...]
+    doors: Edges
     offsets: tuple[int, ...]
     graph: Graph
     core: Core
@@ -213,7 +216,12 @@ def join_levels(
     """The free space of all levels, with one graph; an `old` version knows which leaves ways need."""
     quadtrees = tuple(part.quadtree for part in parts)
     edges = tuple(part.edges for part in parts)
-    offsets, graph = connect(levels, quadtrees, edges, radius)
+    offsets, doors = _begins(quadtrees), find_doors(levels, quadtrees)
+    if old and _is_joined(old, quadtrees, edges, doors):
+        graph, core = old[0].graph, old[0].core
+    else:
+        graph = connect(quadtrees, edges, doors, radius)
+        core = core_of(quadtrees, graph, old and (*old, [part.source for part in parts]))
     surfaces = tuple(part.surface for part in parts)
     former = zip(old[0].trees, old[0].exact_fields, strict=True) if old else ()
     exact = {id(tree.standing): field for tree, field in former}
@@ -234,25 +242,24 @@ def join_levels(
         tuple(Nearer(part.obstacle_field) for part in parts),
         quadtrees,
         edges,
+        doors,
         offsets,
         graph,
-        core_of(quadtrees, graph, old and (*old, [part.source for part in parts])),
+        core,
         float(area) / (2.0 * agent.disc_radius),
     )
 
 
-def connect(
-    levels: Levels, quadtrees: tuple[Quadtree, ...], edges: tuple[Edges, ...], radius: float
-) -> tuple[tuple[int, ...], Graph]:
-    """One graph over all levels: sides shared by leaves, and portals where two levels are the same ground.
+def _is_joined(old: Before, quadtrees: tuple[Quadtree, ...], edges: tuple[Edges, ...], doors: Edges) -> bool:
+    """Whether a version before has these very leaves and edges, and the same doors: then it has the graph."""
+    pairs = ((quadtrees, old[0].quadtrees), (edges, old[0].edges))
+    same = all(len(now) == len(was) and all(map(is_, now, was)) for now, was in pairs)
+    return same and all(map(np.array_equal, doors, old[0].doors))
 
-    Before it the first node of each level's leaves.
-    """
-    offsets = _begins(quadtrees)
-    pairs, vias = [], []
-    for (ends, via), offset in zip(edges, offsets, strict=True):
-        pairs.append(ends + offset if offset else ends)
-        vias.append(via)
+
+def find_doors(levels: Levels, quadtrees: tuple[Quadtree, ...]) -> Edges:
+    """Edges from level to level, where two are the same ground: pairs of nodes of one graph over all of them."""
+    offsets, pairs, vias = _begins(quadtrees), [np.zeros((0, 2), np.int64)], [np.zeros((0, 2))]
     for portal in levels.portals:
         a, b = quadtrees[portal.a], quadtrees[portal.b]
         xy = portal.points[:, :2]
@@ -260,15 +267,23 @@ def connect(
         both = (one >= 0) & (two >= 0) & a.whole[one] & b.whole[two]  # the place is in two wholly free leaves
         pairs.append(np.column_stack([one[both] + offsets[portal.a], two[both] + offsets[portal.b]]))
         vias.append(xy[both])
+    return np.concatenate(pairs), np.concatenate(vias)
+
+
+def connect(quadtrees: tuple[Quadtree, ...], edges: tuple[Edges, ...], doors: Edges, radius: float) -> Graph:
+    """One graph over all levels: sides shared by leaves, and doors."""
+    pairs = [ends + offset if offset else ends for (ends, _), offset in zip(edges, _begins(quadtrees), strict=True)]
+    pairs, vias = [*pairs, doors[0]], [*(via for _, via in edges), doors[1]]
     position = _joined([quadtree.center for quadtree in quadtrees])
     level = np.repeat(np.arange(len(quadtrees)), [len(quadtree.size) for quadtree in quadtrees])
     clearance = _joined([quadtree.clearance for quadtree in quadtrees])
     found = _joined(pairs), _joined(vias)
-    return offsets, assemble(position, level, found, price_pairs(position, clearance, found, radius))
+    return assemble(position, level, found, price_pairs(position, clearance, found, radius))
 
 
 def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:
-    """All parts in one array: a single one as it is."""
+    """All parts in one array: a single one that is not empty as it is."""
+    parts = [part for part in parts if len(part)] or parts[:1]
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 

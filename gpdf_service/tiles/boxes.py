@@ -62,11 +62,32 @@ def over_blocks(values: NDArray[Any], side: int, end: np.ufunc, none: float) -> 
     return made
 
 
+@njit(cache=True, nogil=True)
 def widened(cells: BoolArray, by: int) -> BoolArray:
     """The cells and all within `by` cells of them along each axis."""
-    made, box = np.zeros_like(cells), window(cells, by)
-    if box[0].start < box[0].stop:
-        made[box] = highest_around(cells[box].view(np.uint8), by).view(bool)
+    made, (left, right, near, far), (nx, ny) = np.zeros_like(cells), span(cells), cells.shape
+    begin, end = max(near - by, 0), max(min(far + by, ny), near)
+    wide = np.zeros((max(right - left, 0), max(end - begin, 0)), np.bool_)
+    for x in range(left, right):
+        written = begin
+        for y in range(near, far):
+            if cells[x, y]:
+                for k in range(max(written, y - by), min(y + by + 1, ny)):
+                    wide[x - left, k - begin] = True
+                written = min(y + by + 1, ny)
+    for step, first, last in ((1, left, min(right + by, nx)), (-1, right - 1, max(left - by, 0) - 1)):
+        away = np.full(wide.shape[1], by + 1)  # rows since one that is wide there
+        for x in range(first, last, step):
+            row = made[x, begin : begin + len(away)]
+            if left <= x < right:
+                own = wide[x - left]
+                for y in range(len(away)):
+                    away[y] = 0 if own[y] else away[y] + 1
+                    row[y] |= away[y] <= by
+            else:
+                for y in range(len(away)):
+                    away[y] += 1
+                    row[y] |= away[y] <= by
     return made
 
 

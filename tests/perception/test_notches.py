@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.perception.notches import fill_notches, notches_reach
+from gpdf_service.perception.notches import beside_treads, fill_notches, notches_reach
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
 
 WIDTH = 0.05
@@ -13,11 +13,12 @@ DEPTH = 6
 """Cells of a tread: 30 cm."""
 
 
-def filled(height, below=None, stands=None):
+def filled(height, below=None, stands=None, flight=None):
     state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
     below, stands = (np.zeros(height.shape, dtype=bool) if each is None else each for each in (below, stands))
     surface = HeightMap(np.zeros(2), WIDTH, height.astype(np.float32), state)
-    made = fill_notches(surface, below, stands, PerceptionConfig())
+    flight = beside_treads(surface, PerceptionConfig()) if flight is None else flight
+    made = fill_notches(surface, flight, below, stands, PerceptionConfig())
     return made.height, made.state
 
 
@@ -158,9 +159,10 @@ def test_treads_of_which_half_were_seen_from_beneath_are_filled_alike_in_any_box
     below = np.zeros(height.shape, dtype=bool)
     below[:, ::2] = True
     state, columns = filled(height, below)[1], slice(70, 130)
-    reach = notches_reach(HeightMap(np.zeros(2), WIDTH, height, below), PerceptionConfig())
+    surface = HeightMap(np.zeros(2), WIDTH, height, np.where(np.isnan(height), UNKNOWN, OBSERVED))
+    treads, reach = (told(surface, PerceptionConfig()) for told in (beside_treads, notches_reach))
     for first in range(70, 130, 4):
         box = slice(first - reach, first + 4 + reach), slice(columns.start - reach, columns.stop + reach)
-        part = filled(height[box], below[box])[1][reach:-reach, reach:-reach]
+        part = filled(height[box], below[box], flight=treads[box])[1][reach:-reach, reach:-reach]
         np.testing.assert_array_equal(part, state[first : first + 4, columns])
     assert 0 < (state == UNKNOWN).sum() < np.isnan(height).sum()
