@@ -229,8 +229,8 @@ def _is_bitten(
     lower: an open side has no more treads. Nor has a cell under which the room beneath was seen, unless it was under
     the row, too.
     """
-    (stands, below), there = told, _further(at, across, row[0])
-    most, half, (beside, straight) = int(NOTCH_SPAN / cell_width) + 1, np.float32(0.5 * cell_width), row
+    (stands, below), (beside, straight) = told, row
+    most, half = int(NOTCH_SPAN / cell_width) + 1, np.float32(0.5 * cell_width)
     away, along, back = (-across[0], -across[1]), (-across[1], across[0]), (across[1], -across[0])
     (one, on), (other, off) = _next_on(height, at, along, most), _next_on(height, at, back, most)
     run, low, high, tread = (on + off) * cell_width, min(one, other), max(one, other), _on(height, at, across, beside)
@@ -238,7 +238,7 @@ def _is_bitten(
         return False
     if not low + half < tread < high - half or _any_on(stands, at, across, beside):
         return False
-    if below[at] and not _all_on(below, there, across, straight):
+    if below[at] and not _all_on(below, at, across, row):
         return False
     beyond, far = _next_on(height, at, away, most)
     if not (far > 0 and beyond >= tread - half) and not _any_on(stands, at, away, far if far > 0 else most):
@@ -284,10 +284,10 @@ def _next_on(height: Float32Array, at: Cell, by: Way, most: int) -> tuple[np.flo
 
 
 @lean()
-def _all_on(cells: BoolArray, at: Cell, by: Way, count: int) -> bool:
-    """Whether a cell and all before the one that is so many cells on are among the `cells`."""
+def _all_on(cells: BoolArray, at: Cell, by: Way, row: tuple[int, int]) -> bool:
+    """Whether all cells of a `row`, which begins so many cells on and is so many long, are among the `cells`."""
     found = True
-    for k in range(count):
+    for k in range(row[0], row[0] + row[1]):
         found &= cells[_further(at, by, k)]
     return found
 
