@@ -35,6 +35,12 @@ def serving(*flags, before=None):
             process.kill()
 
 
+def freeze(process):
+    """Stop all its threads; a signal alone lets them run until one of them has taken it."""
+    process.send_signal(signal.SIGSTOP)
+    os.waitid(os.P_PID, process.pid, os.WSTOPPED)
+
+
 def map_flags(folder, endpoint):
     return "--map", "--endpoint", endpoint, "--scenes-dir", folder, "--log-dir", folder / "map"
 
@@ -115,11 +121,11 @@ def test_a_frozen_planner_is_passed_over_and_a_deadline_with_all_frozen_is_told_
         wait_for_planners(client, 2)
         for _ in range(4):
             client.plan("office", made.start, made.goal, "roomba")
-        os.kill(planners[0].pid, signal.SIGSTOP)
+        freeze(planners[0])
         for _ in range(10):
             assert client.plan("office", made.start, made.goal, "roomba").status == "OK"
         wait_for_planners(client, 1)  # the lease is over
-        os.kill(planners[1].pid, signal.SIGSTOP)
+        freeze(planners[1])
         with pytest.raises(UnavailableError, match=r"did not answer.*0\.5 s\. Give it more time"):
             client.plan("office", made.start, made.goal, "roomba", deadline_s=0.5)
 
