@@ -254,7 +254,7 @@ def _real(data: Path) -> Row:
         rows = list(hard_clouds.hall_rows(data, HALL_TURNS, 0, HALL))
         made |= {f"hall_{key}": sum(row[key] for row in rows) for key in ("up", "down", "cut_joined")}
     if (data / hard_clouds.HOUSE).exists():
-        row = hard_clouds.turned_house(data, hard_clouds.TURNS, 0)
+        row = hard_clouds.turned_house(data, hard_clouds.HOUSE_TURNS, 0)
         made |= {f"house_{key}": row[key] for key in ("up", "down")}
     if (data / hard_clouds.SPIRAL).exists():
         rows = list(hard_clouds.spiral_rows(data, PAIRS, 0, hard_clouds.SPIRAL_BODIES[1:]))
