@@ -11,7 +11,7 @@ import numpy as np
 
 from gpdf_service.bench.hard_clouds import HOUSE, HOUSE_TURNS, TURNS, hall_rows, spiral_rows, turned_house
 from gpdf_service.bench.houses import house_rows
-from gpdf_service.bench.places import island_rows, label_rows, land_rows, path_rows
+from gpdf_service.bench.places import island_rows, label_rows, land_rows, path_rows, shaft_rows
 from gpdf_service.bench.report import Row, each, show
 from gpdf_service.bench.rules import RULES, rule_rows
 from gpdf_service.clouds import read_cloud
@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         choices=[*ROWS, "all"],
         help="other rows instead: ray-cast houses, stairs of a museum and a house, spiral ramps, where a start (x, y) "
-        "lands, islands, labels of random places and paths in them",
+        "lands, islands, shafts, labels of random places and paths in them",
     )
     parser.add_argument("--scanner", action="append", choices=list(SCANNERS), help="of the houses; repeatable")
     parser.add_argument("--origins", action="store_true", help="houses are built with where the rays began")
@@ -114,6 +114,11 @@ def _islands(args: argparse.Namespace) -> Iterator[Row]:
         yield from island_rows(scanner, args.count, args.seed, args.noise[0] if args.noise else None)
 
 
+def _shafts(args: argparse.Namespace) -> Iterator[Row]:
+    for scanner in args.scanner or ["tripod", "handheld"]:
+        yield from shaft_rows(scanner, args.count, args.seed, args.noise[0] if args.noise else None)
+
+
 def _paths(args: argparse.Namespace) -> Iterator[Row]:
     for scanner in args.scanner or ["tripod", "handheld"]:
         yield from path_rows(scanner, args.count, args.seed, args.noise[0] if args.noise else None)
@@ -130,6 +135,7 @@ ROWS: dict[str, Callable[[argparse.Namespace], Iterator[Row]]] = {
     "spiral": _spiral,
     "lands": _lands,
     "islands": _islands,
+    "shafts": _shafts,
     "labels": _labels,
     "paths": _paths,
 }

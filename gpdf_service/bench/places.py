@@ -15,7 +15,7 @@ from gpdf_service.errors import NoGroundError
 from gpdf_service.pipeline import build_scene, plan
 from gpdf_service.scene import Scene
 from gpdf_service.synthetic.place import SEEN, Place
-from gpdf_service.synthetic.places import ISLANDS, ONE_FLOOR, car_park, museum
+from gpdf_service.synthetic.places import ISLANDS, ONE_FLOOR, car_park, museum, shaft
 from gpdf_service.synthetic.scanners import NOISE, SCANNERS, Scan
 from gpdf_service.types import AGENTS, Agent, BoolArray, FloatArray, Status
 
@@ -27,6 +27,8 @@ FREE = 300
 """Random free places of each place that are held against the exact one."""
 GRID = 0.1
 """[m] Between the places of an island that are asked for."""
+SHAFTS = 12
+"""Halls with a shaft, where nothing else is asked for."""
 RIM = 0.4
 """[m] Of an island, that is left out: a body does not stand there."""
 
@@ -174,6 +176,16 @@ def island_rows(scanner: str, count: int | None, seed: int, noise: float | None 
                 "stands": sum(plan(scene, one, one, "human").status is Status.OK for one in some),
                 "joined": sum(plan(scene, home, one, "human").status is Status.OK for one in some),
             }
+
+
+def shaft_rows(scanner: str, count: int | None, seed: int, noise: float | None = None) -> Iterator[Row]:
+    """For halls with a shaft: how many free places of a Roomba, all cells are asked, have no ground where they are."""
+    for number in range(seed, seed + (count or SHAFTS)):
+        place, scan = scanned_place(shaft, scanner, number, noise)
+        free = free_places(build_scene(scan.points), AGENTS["roomba"], len(scan.points), np.random.default_rng(0))
+        fall = free[:, 2] - place.world.ground_under(free + np.array([0.0, 0.0, ON]))
+        over = fall > 0.5 * (place.rooms[0][0, 2] - place.islands[0][0, 2])
+        yield {"row": "shaft", "scanner": scanner, "seed": number, "free": len(free), "over_shaft": int(over.sum())}
 
 
 def seen_places(corners: FloatArray, ground: FloatArray) -> FloatArray:

@@ -237,13 +237,14 @@ def _depth(seed: int) -> Row:
 
 
 def _islands(seed: int) -> Row:
-    """A pit, a gallery and a platform: places that are known, and those that are wrongly joined."""
+    """A pit, a gallery and a platform: places known, and those wrongly joined; over shafts, those free."""
     rows = list(places.island_rows("tripod", 1, seed))
     known = round(sum(row["known"] * row["places"] for row in rows) / max(sum(row["places"] for row in rows), 1), 4)
     return {
         "island_known": known,
         "stands": sum(row["stands"] for row in rows),
         "joined": sum(row["joined"] for row in rows),
+        "over_shaft": sum(row["over_shaft"] for row in places.shaft_rows("tripod", 3, seed)),
     }
 
 

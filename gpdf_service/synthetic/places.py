@@ -232,14 +232,23 @@ def museum(rng: np.random.Generator) -> Place:
 
 def pit(rng: np.random.Generator) -> Place:
     """A hall with a pit that nobody steps into: 0.6 to 1.2 m deep, 3 to 4 m wide."""
-    (w, d), deep = rng.uniform(3.0, 4.0, 2), float(rng.uniform(0.6, 1.2))
-    size, x0, y0 = (9.0, 8.0), 3.0, 2.5
+    wide, deep = rng.uniform(3.0, 4.0, 2), float(rng.uniform(0.6, 1.2))
+    return _hall_with_hole("pit", np.array([3.0, 2.5]), wide, deep, rng)
+
+
+def shaft(rng: np.random.Generator) -> Place:
+    """A hall with a shaft of which a scanner sees walls alone: 1.2 to 3 m deep, 0.45 to 1.1 m wide."""
+    wide, deep = rng.uniform(0.45, 1.1, 2), float(rng.uniform(1.2, 3.0))
+    return _hall_with_hole("shaft", rng.uniform([2.0, 1.5], [6.0, 5.5]), wide, deep, rng)
+
+
+def _hall_with_hole(name: str, corner: FloatArray, wide: FloatArray, deep: float, rng: np.random.Generator) -> Place:
+    size, (x0, y0), (x1, y1) = (9.0, 8.0), corner.tolist(), (corner + wide).tolist()
     solids = [solid for solid in hall(size, 3.5) if solid.kind != "floor"]
-    parts = [((0, 0), (9, y0)), ((0, y0 + d), (9, 8)), ((0, y0), (x0, y0 + d)), ((x0 + w, y0), (9, y0 + d))]
+    parts = [((0, 0), (9, y0)), ((0, y1), (9, 8)), ((0, y0), (x0, y1)), ((x1, y0), (9, y1))]
     solids += [box("floor", (*low, -deep - 0.2), (*high, 0), walkable=True) for low, high in parts]
-    solids.append(box("floor", (x0, y0, -deep - 0.2), (x0 + w, y0 + d, -deep), walkable=True))
-    island = rectangle((x0, y0), (x0 + float(w), y0 + float(d)), -deep)
-    return _with_island("pit", solids, size, island, rng)
+    solids.append(box("floor", (x0, y0, -deep - 0.2), (x1, y1, -deep), walkable=True))
+    return _with_island(name, solids, size, rectangle((x0, y0), (x1, y1), -deep), rng)
 
 
 def gallery(rng: np.random.Generator) -> Place:
@@ -299,6 +308,6 @@ ISLANDS = (pit, gallery, platform)
 PLACES: dict[str, Maker] = {
     "house": house,
     **{f"house_{kind}": _house_maker(kind) for kind in STAIRS},
-    **{make.__name__: make for make in (*ONE_FLOOR, car_park, museum, *ISLANDS)},
+    **{make.__name__: make for make in (*ONE_FLOOR, car_park, museum, *ISLANDS, shaft)},
 }
 """Places by name: each is made from a random generator."""
