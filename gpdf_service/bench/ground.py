@@ -9,7 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from gpdf_service.bench.hard_clouds import HOUSE, HOUSE_TURNS, TURNS, hall_rows, spiral_rows, turned_house
+from gpdf_service.bench.hard_clouds import (
+    HOUSE,
+    HOUSE_TURNS,
+    TURNS,
+    hall_rows,
+    shifted_spiral,
+    spiral_rows,
+    turned_house,
+)
 from gpdf_service.bench.houses import house_rows
 from gpdf_service.bench.places import island_rows, label_rows, land_rows, path_rows, shaft_rows
 from gpdf_service.bench.report import Row, each, show
@@ -101,7 +109,8 @@ def _hall(args: argparse.Namespace) -> Iterator[Row]:
 
 
 def _spiral(args: argparse.Namespace) -> Iterator[Row]:
-    return spiral_rows(args.data, 100 if args.count is None else args.count, args.seed)
+    yield from spiral_rows(args.data, 100 if args.count is None else args.count, args.seed)
+    yield shifted_spiral(args.data, args.seed)
 
 
 def _lands(args: argparse.Namespace) -> Iterator[Row]:

@@ -29,6 +29,8 @@ WIDTHS = (0.02, 0.03, 0.04, 0.05, 0.06)
 """[m] Voxels to which the museum is thinned."""
 TURNS = 7
 """Angles that it is turned by, over a whole turn."""
+SHIFTS = 16
+"""Places of the cells under the spiral."""
 HOUSE_TURNS = 35
 """Angles that a house is turned by."""
 NEAR = 0.3
@@ -108,6 +110,20 @@ def _both_ways(points: FloatArray, low: FloatArray, high: FloatArray) -> tuple[t
 
 def _gets(scene: Scene, start: FloatArray, goal: FloatArray) -> bool:
     return plan(scene, start, goal, "human", snap=NEAR).status is Status.OK
+
+
+def shifted_spiral(folder: Path, seed: int) -> Row:
+    """Of so many shifts within a metre, under how many Spot's published query over the spiral is answered yet.
+
+    A deck's row of voxels lies one voxel lower. Where cells lie so that it has some of its own, nothing bridges it.
+    """
+    points, rng = read_cloud(folder / SPIRAL).points, np.random.default_rng(seed)
+    row: Row = {"row": "spiral_shifted", "shifts": SHIFTS, "ok": 0}
+    for shift in rng.random((SHIFTS, 2)):
+        scene = build_scene(points + np.append(shift, 0.0))
+        start, goal = SPIRAL_QUERY + shift
+        row["ok"] += plan(scene, start, goal, "spot").status is Status.OK
+    return row
 
 
 def spiral_rows(folder: Path, count: int, seed: int, bodies: Sequence[Agent] = SPIRAL_BODIES) -> Iterator[Row]:
