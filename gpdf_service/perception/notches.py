@@ -236,12 +236,13 @@ def _is_bitten(
     run, low, high, tread = (on + off) * cell_width, min(one, other), max(one, other), _on(height, at, across, beside)
     if min(on, off) == 0 or run > NOTCH_SPAN or not 2.0 * cell_width < high - low <= STEEPEST_FLIGHT * run:
         return False
-    if not low + half < tread < high - half or _any_on(stands, at, across, beside):
+    if not low + half < tread < high - half or _count_on(stands, at, across, 1, beside) > 0:
         return False
-    if below[at] and not _all_on(below, at, across, row):
+    if below[at] and _count_on(below, at, across, beside, beside + straight) < straight:
         return False
     beyond, far = _next_on(height, at, away, most)
-    if not (far > 0 and beyond >= tread - half) and not _any_on(stands, at, away, far if far > 0 else most):
+    closed = _count_on(stands, at, away, 1, far if far > 0 else most) > 0
+    if not closed and not (far > 0 and beyond >= tread - half):
         return False
     for there in (_further(at, across, beside), _further(at, across, beside + straight)):
         ahead = _ends_alike(height, there, along, on, one, half)
@@ -284,22 +285,13 @@ def _next_on(height: Float32Array, at: Cell, by: Way, most: int) -> tuple[np.flo
 
 
 @lean()
-def _all_on(cells: BoolArray, at: Cell, by: Way, row: tuple[int, int]) -> bool:
-    """Whether all cells of a `row`, which begins so many cells on and is so many long, are among the `cells`."""
-    found = True
-    for k in range(row[0], row[0] + row[1]):
-        found &= cells[_further(at, by, k)]
-    return found
-
-
-@lean()
-def _any_on(cells: BoolArray, at: Cell, by: Way, count: int) -> bool:
-    """Whether any of the cells before the one that is so many cells on is among the `cells`."""
-    found = False
-    for k in range(1, count):
+def _count_on(cells: BoolArray, at: Cell, by: Way, begin: int, end: int) -> int:
+    """How many of the cells that are so many on, from `begin` to before `end`, are among the `cells`."""
+    count = 0
+    for k in range(begin, end):
         u, v = _further(at, by, k)
-        found |= 0 <= u < cells.shape[0] and 0 <= v < cells.shape[1] and cells[u, v]
-    return found
+        count += 0 <= u < cells.shape[0] and 0 <= v < cells.shape[1] and cells[u, v]
+    return count
 
 
 def between_treads(surface: HeightMap, asked: BoolArray, stair_step: float) -> BoolArray:

@@ -178,10 +178,9 @@ def same_leaves(old: Quadtree, tree: Quadtree) -> SameLeaves:
     if (old.origin != tree.origin).any() or old.side != tree.side:
         return now, was
     row = rows_among(old.code, tree.code)
-    same = row >= 0
+    leaves = np.flatnonzero(row >= 0)
     for one, other in ((old.size, tree.size), (old.free, tree.free), (old.whole, tree.whole)):
-        same &= one == other[row]
-    leaves = np.flatnonzero(same)
+        leaves = leaves[one[leaves] == other[row[leaves]]]
     now[leaves], was[row[leaves]] = row[leaves], leaves
     return now, was
 
