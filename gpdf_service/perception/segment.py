@@ -207,6 +207,7 @@ def _across(
     rise = layers.cell_width * float(np.tan(config.steepest))
     a, b = connect(replace(layers, height=smooth), ground, rise)
     low, high = half_way(smooth, a, b)
+    low = np.minimum(low, layers.height)
     return np.where(ground, low, np.inf), np.where(ground, high, -np.inf)
 
 
