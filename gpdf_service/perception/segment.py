@@ -167,7 +167,7 @@ def segment_layers(
         told = nodes_of(near.layers, held), np.concatenate(ground), np.concatenate(smooth)
         deviation = ROBUST * float(np.median(off_ground(held, *told)))
     extents = partial(_extents, scatter=scatter_of(deviation, relief), config=config)
-    return Segmentation(near, near.around("extents", 1, extents, ground, smooth), deviation, relief)
+    return Segmentation(near, near.around("extents", 2, extents, ground, smooth), deviation, relief)
 
 
 def change_segmentation(
@@ -197,7 +197,14 @@ def _extents(
     beneath, across = run_beside(
         partial(_ground_beside, layers, ground, smooth, scatter), partial(_across, layers, ground, smooth, config)
     )
-    return *across, beneath
+    low, high = across
+    return np.where(_grooves(layers, ground, low - scatter), layers.height, low), high, beneath
+
+
+def _grooves(layers: Layers, ground: BoolArray, low: FloatArray) -> BoolArray:
+    """Ground nodes that are under the `low` end of the ground around [m] in a row: one by itself is an outlier."""
+    sunk = ground & (layers.top < low)
+    return sunk & (degrees(layers.columns, sunk, layers.cell_width) > 1)
 
 
 def _across(
@@ -207,7 +214,6 @@ def _across(
     rise = layers.cell_width * float(np.tan(config.steepest))
     a, b = connect(replace(layers, height=smooth), ground, rise)
     low, high = half_way(smooth, a, b)
-    low = np.minimum(low, layers.height)
     return np.where(ground, low, np.inf), np.where(ground, high, -np.inf)
 
 
