@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.ground.foot import LEAST_OBSTACLE
 from gpdf_service.perception.hidden import faces_reach, find_faces, hidden_reach, without_hidden
-from gpdf_service.perception.holes import faces_of_steps, fill_holes, standing
+from gpdf_service.perception.holes import fill_faces, fill_holes, standing
 from gpdf_service.perception.notches import NOTCH_DEPTH, between_treads
 from gpdf_service.perception.others import Held
 from gpdf_service.perception.rays import seen_by_rays
@@ -43,17 +41,21 @@ def complete(
     """
     config, as_map = site.config, partial(HeightMap, seen.origin, seen.cell_width)
 
-    def stood(box: Box, beside: Float32Array, height: Float32Array) -> tuple[NDArray[Any], ...]:
+    def stood(box: Box, beside: Float32Array) -> tuple[FloatArray, BoolArray, BoolArray, BoolArray]:
         cell, z, lowest = held(box)
-        own = cell, z, lowest
-        return lowest, *standing(beside, lowest, cell, z, seen.cell_width), faces_of_steps(height, own, config.max_step)
+        return lowest, *standing(beside, lowest, cell, z, seen.cell_width)
+
+    def stepped(box: Box, height: Float32Array, state: ByteArray) -> tuple[Float32Array, ByteArray]:
+        made = fill_faces(as_map(height, state), held(box), config.max_step)
+        return made.height, made.state
 
     def edges(box: Box, height: Float32Array, state: ByteArray, lowest: FloatArray) -> tuple[BoolArray, BoolArray]:
         cell, z, _ = held(box)
         return guard_edges(as_map(height, state), lowest, cell, z, config)
 
-    lowest, thing, at_floor, over, face = grid.around("stood", 1, stood, near.height, seen.height, points=True)
-    filled = fill_holes(seen, grid, near, (thing, at_floor, over, face), voids, config, site.noise)
+    lowest, thing, at_floor, over = grid.around("stood", 0, stood, near.height, points=True)
+    filled = fill_holes(seen, grid, near, (thing, at_floor, over), voids, config, site.noise)
+    filled = as_map(*grid.around("steps' faces", 1, stepped, filled.height, filled.state, points=True))
     own = filled.height, filled.state, lowest
     stair, guarded = grid.around("edges", notch_reach(seen), edges, *own, points=True)
     if site.rays is not None:

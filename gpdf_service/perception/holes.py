@@ -45,7 +45,7 @@ CEILING = 1.9
 _ROUNDING = float(np.finfo(np.float64).eps)
 """[-] Of a least-squares fit, a row: a singular value below this times the rows over the largest counts as 0."""
 
-Material = tuple[BoolArray, BoolArray, BoolArray, BoolArray]
+Material = tuple[BoolArray, BoolArray, BoolArray]
 """Cells with points that may be a thing's, and those of them where all lie at the ground's height, and where some lie
 over it; see `standing`."""
 
@@ -92,14 +92,13 @@ def fill_holes(
         made = fill_notches(replace(surface, height=height, state=state), flight, beneath, stands, config)
         return made.height, made.state
 
-    held, at_floor, over, face = material
+    held, at_floor, over = material
     (treads,) = grid.around("flights", flights_reach(surface), flight, height, state)
     given = height, state, treads, voids.through | voids.pit, over
     height, state = grid.around("notches", notches_reach(surface, config), notched, *given)
     known = state != UNKNOWN
     ends = _no_holes(grid, surface, near, voids)
     height, state = _fill_planes(grid, ends, surface.cell_width, (height, state), ~known & ~held, known)
-    height, state = _fill_faces(surface, face & (state == UNKNOWN), height, state)
     height, state = _fill_single(np.flatnonzero(at_floor & (state == UNKNOWN)), height, state)
     height, state = _fill_gaps(grid, "gaps left", height, state, surface, noise)  # of larger ones
     return replace(surface, height=height, state=state)
@@ -130,41 +129,28 @@ def standing(beside: Float32Array, lowest: FloatArray, cell: IntArray, z: FloatA
     return material, material & (lowest >= ground - cell_width) & np.isinf(over), np.isfinite(over)
 
 
-def faces_of_steps(
-    height: Float32Array, other: tuple[IntArray, FloatArray, FloatArray], max_step: float
-) -> BoolArray:
-    """Unseen cells, shape (nx, ny), that a step's face fills: all points are between the ground on both sides.
+def fill_faces(surface: HeightMap, other: tuple[IntArray, FloatArray, FloatArray], max_step: float) -> HeightMap:
+    """Infer the lower ground of a step under its face, where that fills a cell alone.
+
+    All points of the cell are between the ground on both sides of it.
 
     Args:
-        height: Of the seen ground [m], NaN where it is unknown, shape (nx, ny).
-        other: See `Held`.
+        surface: After `fill_holes`.
+        other: The other points, see `Held`.
         max_step: No face is higher [m].
     """
-    (cell, z, lowest), unseen = other, np.isnan(height)
-    low, high = np.where(unseen, np.float32(np.inf), height), np.where(unseen, np.float32(-np.inf), height)
-    low, high = lowest_around(low, 1), highest_around(high, 1)
+    (cell, z, lowest), known, inner = other, surface.state != UNKNOWN, np.s_[1:-1, 1:-1]
+    low = lowest_around(np.where(known, surface.height, np.float32(np.inf)), 1)
+    high = highest_around(np.where(known, surface.height, np.float32(-np.inf)), 1)
     top = extent_within(cell, z, np.full(low.shape, -np.inf), np.full(low.shape, np.inf))[1]
-    face: BoolArray = unseen & _opposite(~unseen) & (high - low <= max_step)
-    return face & (lowest >= low - LEAST_OBSTACLE) & (top <= high + LEAST_OBSTACLE) & (top > -np.inf)
-
-
-def _opposite(known: BoolArray) -> BoolArray:
-    """Cells between two known ones, along an axis or a diagonal."""
-    made, inner = np.zeros_like(known), np.s_[1:-1, 1:-1]
-    pad = known
-    for x, y in ((1, 0), (0, 1), (1, 1), (1, -1)):
-        made[inner] |= np.roll(pad, (x, y), (0, 1))[inner] & np.roll(pad, (-x, -y), (0, 1))[inner]
-    return made
-
-
-def _fill_faces(surface: HeightMap, face: BoolArray, height: Float32Array, state: ByteArray) -> Ground:
-    """The ground with the lower one of a step under its `face`, as inferred, where scans of the ground leave none."""
-    if not face.any():
-        return height, state
-    low = lowest_around(np.where(np.isnan(surface.height), np.float32(np.inf), surface.height), 1)
-    height, state = height.copy(), state.copy()
-    height[face], state[face] = low[face], INFERRED
-    return height, state
+    face = ~known & np.isfinite(top) & (lowest >= low - LEAST_OBSTACLE) & (top <= high + LEAST_OBSTACLE)
+    both = np.zeros_like(known)
+    for by in ((1, 0), (0, 1), (1, 1), (1, -1)):
+        ahead, behind = (np.roll(known, sign * np.array(by), (0, 1)) for sign in (1, -1))
+        both[inner] |= (ahead & behind)[inner]
+    face &= both & (high - low <= max_step)
+    height, state = np.where(face, low, surface.height), np.where(face, INFERRED, surface.state)
+    return replace(surface, height=height, state=state)
 
 
 def _fill_gaps(
