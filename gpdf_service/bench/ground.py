@@ -19,6 +19,7 @@ from gpdf_service.bench.hard_clouds import (
     turned_house,
 )
 from gpdf_service.bench.houses import house_rows
+from gpdf_service.bench.placed import placed_rows
 from gpdf_service.bench.places import island_rows, label_rows, land_rows, path_rows, shaft_rows
 from gpdf_service.bench.report import Row, each, show
 from gpdf_service.bench.rules import RULES, rule_rows
@@ -59,8 +60,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--rows",
         nargs="+",
         choices=[*ROWS, "all"],
-        help="other rows instead: ray-cast houses, stairs of a museum and a house, spiral ramps, where a start (x, y) "
-        "lands, islands, shafts, labels of random places and paths in them",
+        help="other rows instead: ray-cast houses, stairs of a museum and a house, spiral ramps, clouds that are "
+        "turned and shifted, where a start (x, y) lands, islands, shafts, labels of random places and paths in them",
     )
     parser.add_argument("--scanner", action="append", choices=list(SCANNERS), help="of the houses; repeatable")
     parser.add_argument("--origins", action="store_true", help="houses are built with where the rays began")
@@ -113,6 +114,11 @@ def _spiral(args: argparse.Namespace) -> Iterator[Row]:
     yield shifted_spiral(args.data, args.seed)
 
 
+def _placed(args: argparse.Namespace) -> Iterator[Row]:
+    clouds = args.scene or sorted(args.data.glob("*.npz"))
+    yield from placed_rows(clouds, 40 if args.count is None else args.count, args.seed)
+
+
 def _lands(args: argparse.Namespace) -> Iterator[Row]:
     for scanner in args.scanner or ["tripod"]:
         yield from land_rows(scanner, args.count, args.seed, args.noise[0] if args.noise else None)
@@ -142,6 +148,7 @@ ROWS: dict[str, Callable[[argparse.Namespace], Iterator[Row]]] = {
     "houses": _houses,
     "hall": _hall,
     "spiral": _spiral,
+    "placed": _placed,
     "lands": _lands,
     "islands": _islands,
     "shafts": _shafts,

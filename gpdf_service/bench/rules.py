@@ -13,6 +13,7 @@ from unittest import mock
 import numpy as np
 
 from gpdf_service.bench import hard_clouds, houses, places
+from gpdf_service.bench.placed import placed_rows
 from gpdf_service.bench.report import Row, each
 from gpdf_service.bench.scanned import judge, overlap, scanned
 from gpdf_service.clouds import read_cloud
@@ -35,7 +36,7 @@ ROOMS = "cluttered_office", "stair"
 HALL, HALL_TURNS = (0.02, 0.04, 0.06), 3
 """[m] Voxels of the museum's stair, and angles that it is turned by: at one width two rules seem to move nothing."""
 PAIRS = 20
-"""Of Spot on the spiral ramps."""
+"""Of Spot on the spiral ramps, and of a human in a quarry."""
 DEPTH_NOISE = 0.005
 """[m] Of a depth camera at 1 m: stereo has more than structured light."""
 REFLECTED = 1e-4
@@ -78,6 +79,7 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "stances": (_P + "segment", "find_stances", lambda _, among: among.copy()),
     "undersides": (_P + "segment", "undersides", lambda _, parts, __: (_none(0, parts.keep), parts, parts.size < 0)),
     "crumbs of noise": (_P + "segment", "without_crumbs", lambda _, parts, __: parts),
+    "grooves": (_P + "segment", "_grooves", _false(1)),
     "roofs": (_P + "segment", "_roofs", _none),
     "low things": (_P + "segment", "low_things", _none),
     "boxes and lids": (_P + "segment", "boxes", _none),
@@ -110,6 +112,7 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
     "single cells on bends": (_P + "holes", "_onto_bends", lambda *_: None),
     "planes over holes": (_P + "holes", "_fill", lambda *_: None),
     "single cells where rays met the floor": (_P + "holes", "_fill_single", lambda _, *ground: ground),
+    "cells of a step's face": (_P + "complete", "fill_faces", _first),
     "notches of flights": (_P + "holes", "fill_notches", _first),
     "strips at a flight's side": (_P + "notches", "_fill_bitten", lambda *_: None),
     "treads seen as lines": (_P + "notches", "_as_wide_as_a_sole", lambda known, _: known),
@@ -164,6 +167,7 @@ def rule_rows(data: Path, seed: int, count: int, rules: Sequence[str]) -> Iterat
         "crowded places": partial(_crowded, seed),
         "depth camera": partial(_depth, seed),
         "reflections": partial(_reflections, seed),
+        "clouds elsewhere": partial(_elsewhere, data),
     }
     whole: dict[str, Row] = {}
     for rule in each(rules, "rules"):
@@ -246,6 +250,17 @@ def _islands(seed: int) -> Row:
         "joined": sum(row["joined"] for row in rows),
         "over_shaft": sum(row["over_shaft"] for row in places.shaft_rows("tripod", 3, seed)),
     }
+
+
+def _elsewhere(data: Path) -> Row:
+    """The spiral's published query, and random pairs in a quarry, where cells lie otherwise."""
+    made: Row = {}
+    if (data / hard_clouds.SPIRAL).exists():
+        made["spiral_shifted"] = hard_clouds.shifted_spiral(data, 0)["ok"]
+    if (quarry := data / "quarry_heightmap_4cm.npz").exists():
+        (row,) = placed_rows([quarry], PAIRS, 0, bodies=("human",))
+        made |= {f"quarry_{key}": row[key] for key in ("everywhere", "uncertified")}
+    return made
 
 
 def _real(data: Path) -> Row:

@@ -118,6 +118,6 @@ def guard_edges(
     beside, foot = highest_around(high, 1) + config.min_headroom, lowest_around(low, reach)
     shut, stair = lowest <= beside, highest_around(high, reach) - foot > 2.0 * surface.cell_width
 
-    over, beside = (foot + LEAST_OBSTACLE).astype(np.float64), beside.astype(np.float64)
-    guards = np.isfinite(extent_within(cell, z, over, beside)[0])
+    top = highest_around(high, 1).astype(np.float64)
+    guards = np.isfinite(extent_within(cell, z, top + LEAST_OBSTACLE, top + config.min_headroom)[0])
     return stair, guards | between_treads(surface, shut & stair & ~known, config.stair_step)

@@ -132,7 +132,7 @@ def standing(beside: Float32Array, lowest: FloatArray, cell: IntArray, z: FloatA
 def fill_faces(surface: HeightMap, other: tuple[IntArray, FloatArray, FloatArray], max_step: float) -> HeightMap:
     """Infer the lower ground of a step under its face, where that fills a cell alone.
 
-    All points of the cell are between the ground on both sides of it.
+    All points of the cell are between the ground on both sides of it. On the level they may be a thing's foot.
 
     Args:
         surface: After `fill_holes`.
@@ -148,7 +148,7 @@ def fill_faces(surface: HeightMap, other: tuple[IntArray, FloatArray, FloatArray
     for by in ((1, 0), (0, 1), (1, 1), (1, -1)):
         ahead, behind = (np.roll(known, sign * np.array(by), (0, 1)) for sign in (1, -1))
         both[inner] |= (ahead & behind)[inner]
-    face &= both & (high - low <= max_step)
+    face &= both & (high - low > LEAST_OBSTACLE) & (high - low <= max_step)
     height, state = np.where(face, low, surface.height), np.where(face, INFERRED, surface.state)
     return replace(surface, height=height, state=state)
 

@@ -108,8 +108,9 @@ def go_at_once(
     contact, top, headings = stand_along(bent, 0.0, spacing[1], here, bent_by, height)
     body = discs.offsets, about.reach, pace.radius, height
     seen = prove(here, bent_by, contact, top, headings, body)
-    share, takes = np.ones(len(contact)), np.zeros(6)
-    walk(here, contact, headings, discs.offsets, pace.preferred, pace.radius, share, takes)
-    top[:, :2], top[:, 2] = contact[:, :2], contact[:, 2] + height
-    times, headings = time_along(top, share * pace.speed, pace.speed, pace.acceleration, pace.turn_rate)
+    share, takes, times = np.ones(len(contact)), np.zeros(6), np.zeros(len(contact))
+    if not seen.unknown:  # what stands nowhere takes no time
+        walk(here, contact, headings, discs.offsets, pace.preferred, pace.radius, share, takes)
+        top[:, :2], top[:, 2] = contact[:, :2], contact[:, 2] + height
+        times, headings = time_along(top, share * pace.speed, pace.speed, pace.acceleration, pace.turn_rate)
     return Made(run, is_bent, contact, top, seen, takes, times, headings)

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -10,6 +12,7 @@ from gpdf_service.ground.foot import LEAST_OBSTACLE
 from gpdf_service.ground.level import GroundLevel
 from gpdf_service.ground.limits import ObstacleKind, step_and_slope
 from gpdf_service.ground.obstacles import Scan, obstacles_of
+from gpdf_service.perception.complete import guard_edges
 from gpdf_service.perception.ledges import find_ledges, next_above
 from gpdf_service.perception.levels import survey_levels
 from gpdf_service.perception.seen import without_outliers
@@ -883,3 +886,46 @@ def test_the_end_of_a_stringer_is_no_step_and_the_tread_beside_it_is_one():
     assert np.isinf(ledges(0.05, end)).all()
     assert ledges(0.05, riser) == pytest.approx([tread])
     assert ledges(0.3, middle) == pytest.approx([tread + over])  # a foot rests on it: a tread of its own
+
+
+def height_map(width, z, shift=0.0):
+    """Samples of a surface that is `z` of x high, on a grid of that width around the middle, shifted along x."""
+    x, y = np.mgrid[-2.0 : 2.0 + width / 2 : width, -2.0 : 2.0 + width / 2 : width].reshape(2, -1)
+    return np.column_stack([x + shift, y, z(x)])
+
+
+@pytest.mark.parametrize("shift", np.arange(0.0, 0.27, 0.03))
+def test_a_groove_of_one_voxel_cuts_no_floor_wherever_its_cells_lie(shift):
+    floor = height_map(0.2, lambda x: np.where(np.abs(x) < 0.1, -0.2, 0.0), shift)
+    scene = build_scene(floor)
+    assert plan(scene, [shift - 1.0, 0.0], [shift + 1.0, 0.0], "human").status is Status.OK
+    assert plan(scene, [shift - 1.0, 0.0], [shift - 0.6, 0.0], "roomba").status is Status.OK
+
+
+def test_a_single_voxel_under_a_floor_is_no_groove():
+    floor = height_map(0.2, np.zeros_like)
+    floor[np.hypot(*floor[:, :2].T) < 0.1, 2] = -0.2
+    assert not segment_ground(floor)[floor[:, 2] < -0.1].any()
+
+
+@pytest.mark.parametrize("shift", np.arange(0.0, 0.056, 0.008))
+def test_cells_that_only_a_step_s_face_fills_are_ground_wherever_they_lie(shift):
+    face = height_map(0.04, lambda x: 0.1 * np.clip(np.round(x / 0.04) + 1.0, 0.0, 3.0), shift)
+    result = plan(build_scene(face), [shift - 1.0, 0.0], [shift + 1.0, 0.0], "human")
+    assert result.status is Status.OK
+    assert result.certificate.max_step == pytest.approx(0.3, abs=0.01)
+    high = face * [1.0, 1.0, 2.0]
+    result = plan(build_scene(high), [shift - 1.0, 0.0], [shift + 1.0, 0.0], "human")
+    assert result.status is Status.NO_VALID_PATH
+
+
+def test_what_is_under_the_ground_beside_guards_no_edge():
+    """It may be a step's face, which stops nobody who takes the step; a wall stops all who come there."""
+    height = np.zeros((9, 9), np.float32)
+    height[5:], height[4] = 0.3, np.nan
+    surface = HeightMap(np.zeros(2), 0.05, height, np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8))
+    cell, z = np.array([4 * 9 + 2, 4 * 9 + 2, 4 * 9 + 6, 4 * 9 + 6]), np.array([0.1, 0.25, 0.1, 0.38])
+    lowest = np.full(81, np.inf)
+    lowest[cell] = 0.1
+    _, guarded = guard_edges(surface, lowest.reshape(9, 9), cell, z, replace(CONFIG, stair_step=0.0))
+    assert np.argwhere(guarded).tolist() == [[4, 6]]

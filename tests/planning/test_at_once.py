@@ -8,6 +8,7 @@ import pytest
 import gpdf_service as gpdf
 from gpdf_service.bench.plan import random_places
 from gpdf_service.planning import planner
+from gpdf_service.tiles.surface import UNKNOWN
 from gpdf_service.types import AGENTS
 
 
@@ -46,3 +47,16 @@ def test_what_is_in_pieces_turns_or_has_no_time_is_made_by_stages(office, asked)
     assert asked == []
     assert gpdf.plan(scene, *ends, "roomba", deadline_s=1.0, clock=lambda: 0.0).status is gpdf.Status.OK
     assert len(asked) == 1
+
+
+@pytest.mark.parametrize("agent", ["human", "roomba", "spot"])
+def test_a_way_over_ground_that_nobody_saw_is_not_proven_and_another_is_found(asked, agent):
+    x, y = np.mgrid[0.0:4.0:0.04, 0.0:4.0:0.04].reshape(2, -1)
+    scene = gpdf.build_scene(np.column_stack([x, y, np.zeros_like(x)]))
+    ground = scene.free_space(agent).surfaces[0]
+    cell = tuple(int(k[0]) for k in ground.cells(np.array([[2.0, 2.0]]))[:2])
+    ground.state[cell], ground.height[cell] = UNKNOWN, np.nan  # no edge of the known ground stops the search there
+    result = gpdf.plan(scene, [1.0, 2.0], [3.0, 2.0], agent)
+    assert [made.seen.unknown for made in asked] == [True]
+    assert result.status is gpdf.Status.OK
+    assert ground.contains(result.trajectory.ground[:, :2]).all()
