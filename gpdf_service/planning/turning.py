@@ -9,7 +9,7 @@ import numpy as np
 
 from gpdf_service.planning.routes import Leg, Route
 from gpdf_service.planning.shape import shortcut
-from gpdf_service.planning.timing import time_path
+from gpdf_service.planning.timing import STILL, time_path
 from gpdf_service.planning.words import measure, place_words
 from gpdf_service.search import FreeSpace
 from gpdf_service.search.lattice import MOST_POSES, POSES_PER_SECOND, PoseSearch, find_poses, moving
@@ -85,7 +85,7 @@ def time_poses(
 ) -> tuple[FloatArray, FloatArray]:
     """Times [s] and headings [rad] of a path of a body that faces `headings`; a cylinder faces where it goes.
 
-    Where it moves, it is as slow as its turn rate asks for; where two places are the same it stands and turns, its ends
+    Where it moves, it is as slow as its turn rate asks for; where two places are the same but for rounding it stands and turns, its ends
     no faster than they may be on the way.
 
     Args:
@@ -98,11 +98,12 @@ def time_poses(
         return time_path(positions, agent, limit)
     step = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     turn = np.abs(np.diff(headings))
-    cuts = np.flatnonzero(np.diff(step > 0.0)) + 1
+    goes = step > STILL
+    cuts = np.flatnonzero(np.diff(goes)) + 1
     times = np.zeros(len(positions))
     for part in np.split(np.arange(len(step)), cuts):
         rows = np.append(part, part[-1] + 1)
-        if step[part[0]] > 0.0:
+        if goes[part[0]]:
             with np.errstate(divide="ignore"):
                 slow = agent.turn_rate * step[part] / turn[part]
             most = np.minimum(np.append(slow, np.inf), np.insert(slow, 0, np.inf))

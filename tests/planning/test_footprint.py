@@ -328,3 +328,13 @@ def test_a_search_that_is_given_up_at_the_deadline_is_a_timeout():
     assert result.status is gpdf.Status.TIMEOUT
     assert "given up" in result.message
     assert result.trajectory is None
+
+
+@pytest.mark.parametrize("apart", [0.0, 2e-16, 1e-9])
+def test_a_turn_between_places_that_differ_in_a_last_digit_is_one_on_the_spot(apart):
+    """At a via point legs end within rounding of each other: to creep there so slowly took all memory."""
+    x, headings = np.array([0.0, 0.5, 1.0, 1.0 + apart, 1.5]), np.array([0.0, 0.0, 0.0, 1.3, 1.3])
+    positions = np.column_stack([x, np.zeros((5, 2))])
+    times, _ = time_poses(positions, headings, SPOT, np.full(5, SPOT.speed))
+    assert (np.diff(times) > 0.0).all()
+    assert times[-1] < 10.0
