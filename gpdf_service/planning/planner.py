@@ -129,7 +129,7 @@ class _Task(NamedTuple):
 
 
 def _best(task: _Task) -> tuple[PlanResult | None, Route | None]:
-    """The result for the best route that certifies; or why none does, or nothing if there was none to try."""
+    """The result for the best route that certifies, and the route; or why none does, or nothing if there was none."""
     refused: PlanResult | None = None
     stuck: Stuck | None = None
     for route in _routes(task):
@@ -144,7 +144,7 @@ def _best(task: _Task) -> tuple[PlanResult | None, Route | None]:
                     return other, rival
             return made, route
         if made.status is Status.TIMEOUT and task.left() <= 0.0:
-            return made, route
+            return made, None
         refused = refused or made
     if refused is not None and stuck is not None:
         refused = PlanResult(stuck.status, stuck.message, details=_place("cut", stuck.at))

@@ -60,6 +60,14 @@ def test_a_deadline_that_has_just_come_is_none_that_has_passed(room):
     assert "before the search began" not in result.message
 
 
+@pytest.mark.parametrize("ticks", range(3, 16))
+def test_other_ways_are_looked_for_only_beside_one_that_was_found_in_time(room, ticks):
+    times = itertools.chain([0.0] * ticks, itertools.count(2.0))  # then the deadline is over, however patient one is
+    result = gpdf.plan(room, (0.6, 0.6), (3.4, 0.6), alternatives=2, deadline_s=1.0, clock=lambda: next(times))
+    assert result.status in {gpdf.Status.OK, gpdf.Status.TIMEOUT}
+    assert all(way.status is gpdf.Status.OK for way in result.alternatives)
+
+
 def test_what_neither_moves_nor_turns_is_told():
     rng = np.random.default_rng(0)
     for lever in (0.0, 0.4):
