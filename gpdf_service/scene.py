@@ -298,7 +298,8 @@ class Scene:
 
     def obstacle_field(self, agent: str | Agent) -> ObstacleField:
         """Distance in plan to what stops `agent`; built on first use."""
-        return ObstacleField(self.surfaces, self.free_space(agent).obstacle_fields)
+        levels = self.free_space(agent).levels
+        return ObstacleField(self.surfaces, tuple(own.obstacle_field for own in levels))
 
     def free_space(self, agent: str | Agent) -> FreeSpace:
         """Where `agent` can be, and how those places connect; built on first use and kept."""

@@ -64,7 +64,7 @@ SHOWN = 150
 """Characters of a change."""
 ENDPOINTS, IN_USE = "gpdf_service/planning/endpoints.py", "gpdf_service/service/in_use.py"
 SWEPT_AT = "if self._total + size - self._sizes.get(scene, 0) > MAX_IN_ALL and now - self._swept > SWEEP_S:"
-AT_A_DISC = "space.clearance(level, disc_places(poses, offset))[0]"
+AT_A_DISC = "space.levels[level].clearance(disc_places(poses, offset))[0]"
 FIRST = "seconds = 0.0 if self._stepped is None else now - self._stepped"
 SWEPT = "moved = np.linalg.norm(np.diff(trajectory.ground[:, :2], axis=0), axis=1) + agent.offsets[-1] * turned"
 PIECES = "pieces: FloatArray = np.maximum(1, np.ceil(moved / SPACING))"

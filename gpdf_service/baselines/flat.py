@@ -78,10 +78,7 @@ def flat_worlds(scene: Scene, agent: Agent) -> tuple[FlatWorld, ...]:
     kept, worlds = _MADE.get(scene, (None, ()))
     if kept != agent:
         space = scene.free_space(agent)
-        worlds = tuple(
-            FlatWorld(surface, _seen(obstacles), space.radius)
-            for surface, obstacles in zip(space.surfaces, space.obstacles, strict=True)
-        )
+        worlds = tuple(FlatWorld(own.surface, _seen(own.obstacles), space.radius) for own in space.levels)
         _MADE[scene] = agent, worlds
     return worlds
 

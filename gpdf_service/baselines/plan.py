@@ -100,7 +100,7 @@ def _distinct(top: FloatArray) -> FloatArray:
 def _certified(space: FreeSpace, level: int, top: FloatArray, method: Baseline) -> PlanResult:
     """Stand under the path, certify, stamp; UNCERTIFIED where the certificate does not hold."""
     agent = space.agent
-    floor = space.surfaces[level].height_at(top[:, :2])
+    floor = space.levels[level].surface.height_at(top[:, :2])
     contact = np.column_stack([top[:, :2], np.where(np.isnan(floor), top[:, 2] - agent.height, floor)])
     times, headings = time_path(top, agent)
     proven = certify(space, top, contact, np.full(len(top), level), headings)

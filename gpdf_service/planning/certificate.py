@@ -64,7 +64,7 @@ def min_distance(
     poses[:, :2] = path
     if headings is not None:
         poses[:, 2] = headings
-    return least_distance(space.trees[level], poses, offsets, resolution)
+    return least_distance(space.levels[level].places, poses, offsets, resolution)
 
 
 def certify(

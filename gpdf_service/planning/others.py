@@ -87,7 +87,7 @@ def _is_same(space: FreeSpace, one: Route, other: Route) -> bool:
     nearest = cKDTree(theirs[:, :2]).query(ours[:, :2])[1]
     for here, there in zip(ours, theirs[nearest], strict=True):
         level = int(here[3])
-        parts = space.trees[level], BETWEEN, CENTRE, space.surfaces[level].arrays
+        parts = space.levels[level].places, BETWEEN, CENTRE, space.levels[level].surface.arrays
         if abs(here[2] - there[2]) > STOREY or not is_joined(here[:2], there[:2], *parts):
             return False
     return True
@@ -98,5 +98,5 @@ def _places(space: FreeSpace, route: Route) -> FloatArray:
     made = []
     for leg in route.legs:
         xy = resample(_plan(leg.path), STRIDE)
-        made.append(np.column_stack([xy, space.surfaces[leg.level].height_at(xy), np.full(len(xy), leg.level)]))
+        made.append(np.column_stack([xy, space.levels[leg.level].surface.height_at(xy), np.full(len(xy), leg.level)]))
     return np.concatenate(made)

@@ -199,7 +199,7 @@ def take_up(space: FreeSpace, ends: Ends, known: FloatArray) -> Route | None:
         return None
     heights = np.stack([surface.height_at(inner[:, :2]) for surface in space.surfaces])
     off = np.abs(np.where(np.isnan(heights), np.inf, heights) - inner[:, 2])
-    if len(inner) and off.min(axis=0).max() > space.surfaces[0].cell_width:
+    if len(inner) and off.min(axis=0).max() > space.levels[0].surface.cell_width:
         return None
     level = [ends.start.level, *off.argmin(axis=0).tolist(), goal.level]
     legs = _cut_by_level(space, np.vstack([ends.start.xy, inner[:, :2], goal.xy]), level)
@@ -495,9 +495,9 @@ def _way_to(ways: Ways, end: Endpoint, node: int, doors: Doors, leaf: IntArray) 
 def _joined_leaves(ways: Ways, end: Endpoint) -> IntArray:
     """Leaves of the level ground near an end that the body gets to straight: nodes of its graph, the nearest first."""
     able, level = ways.spaces
-    tree = level.quadtrees[end.level]
+    tree = level.levels[end.level].quadtree
     leaf = tree.within(end.xy, NEAR)
-    node = leaf[tree.free[leaf]] + level.offsets[end.level]
+    node = leaf[tree.free[leaf]] + level.levels[end.level].offset
     made: IntArray = node[_joined_among(end.xy, level.graph.position[node], *_around(able, end.level))]
     return made
 
@@ -551,7 +551,8 @@ def _strung(
 
 def _around(space: FreeSpace, level: int) -> tuple[Places, float, float, Cells]:
     """What ways on a level are pulled between."""
-    return space.trees[level], space.reach, space.radius, space.surfaces[level].arrays
+    own = space.levels[level]
+    return own.places, space.reach, space.radius, own.surface.arrays
 
 
 def pull_all(legs: list[Leg], prefer: Prefer, *, between: bool = False) -> tuple[list[Leg], FloatArray]:

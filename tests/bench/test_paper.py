@@ -121,7 +121,7 @@ def test_what_a_peer_calls_free_is_judged_by_the_exact_test(office, monkeypatch)
     monkeypatch.setattr(simd, "rrt_connect", lambda points, radius, low, high: straight)
     monkeypatch.setattr(peers, "PEERS", {})
     ours, theirs = peers.compare(scene, AGENTS["roomba"], pairs)
-    obstacles = scene.free_space("roomba").trees[0]
+    obstacles = scene.free_space("roomba").levels[0].places
     clear = sum(bool(is_clear(obstacles, *pair, AGENTS["roomba"].radius)) for pair in pairs)
     assert theirs["planner"] == "vamp"
     assert theirs["p50_search_ms"] == pytest.approx(1e-3)

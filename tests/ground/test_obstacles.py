@@ -124,5 +124,5 @@ def test_a_change_of_voxels_into_points_changes_what_stops_a_body_as_a_build_doe
     after = before.update(insert=middle + np.array([[0.0, 0.0, 0.93], [0.0, 0.01, 0.97], [0.01, 0.0, 0.95]]))
     anew = from_scratch(after)
     assert not differences(after, anew)
-    stops = [scene.free_space("spot").obstacles[0].points for scene in (before, after, anew)]
+    stops = [scene.free_space("spot").levels[0].obstacles.points for scene in (before, after, anew)]
     assert len(stops[1]) == len(stops[2]) > len(stops[0]) + 3

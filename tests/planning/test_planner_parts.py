@@ -227,7 +227,7 @@ def test_strictly_bent_a_piece_keeps_the_margin_of_the_search(room):
     for strict, least in ((False, 0.0), (True, space.radius - 1e-3)):
         bent, run = planner._bend(round_box, CONFIG, strict, np.inf)
         assert run.converged
-        assert space.clearance(0, bent.path)[0].min() >= least
+        assert space.levels[0].clearance(bent.path)[0].min() >= least
         gaps = np.linalg.norm(np.diff(bent.path, axis=0), axis=1)
         assert gaps.max() <= 1.05 * CONFIG.waypoint_spacing
 

@@ -94,8 +94,9 @@ def test_pieces_that_do_not_meet_at_a_portal_are_bent_each_by_itself(space):
 
 
 def test_where_the_levels_hold_no_same_ground_the_pieces_meet_where_they_met(space):
-    lower = space.surfaces[0]
-    apart = replace(space, surfaces=(replace(lower, height=lower.height - 0.5), space.surfaces[1]))
+    lower, upper = space.levels
+    deeper = replace(lower.surface, height=lower.surface.height - 0.5)
+    apart = replace(space, levels=(replace(lower, surface=deeper), upper))
     bowed = legs_of(apart, [(0.6, 2.0), (2.5, 2.9)], [(2.5, 2.9), (4.4, 2.0)])
     assert pull_over(bowed, meet, SPACING) == bowed
     (one, _), (other, _) = bend_over([[leg] for leg in bowed], meet, SPACING, straight)
