@@ -115,11 +115,6 @@ EQUAL: dict[tuple[str, ...], str] = {
     (ENDPOINTS, "-1 → (1)", RIM): "the map's rim is wider than a cell",
     (ENDPOINTS, "1 → (2)", RIM): "the map's rim is wider than a cell",
     (PLANNER, "300_000 → (300001)"): "a waypoint more in a second",
-    (
-        PLANNER,
-        "not taken.any() or bool((taken <= steps_of(pieces) + MORE_STEPS).all())"
-        " → (bool((taken <= steps_of(pieces) + MORE_STEPS).all()))",
-    ): "what takes no step takes no more",
     (PLANNER, "True → (False)", NAMED): "a place has three numbers",
     (TIMING, "1 → (2)", ENDED): "what has arrived stays there",
     (

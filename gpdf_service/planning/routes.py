@@ -20,10 +20,10 @@ from gpdf_service.planning.shape import (
     is_straight,
     lengths,
     pull,
-    pull_tight,
     radius_of,
     radius_within,
     subdivide,
+    tighten,
 )
 from gpdf_service.search import Doors, FreeSpace, Graph, Prefer, Ways, find_way, prices
 from gpdf_service.search.boxed import boxed
@@ -43,8 +43,8 @@ from gpdf_service.search.ways import (
     beside,
     here,
     least_takes,
-    steps_on,
     straight_takes,
+    way_steps,
     way_takes,
 )
 from gpdf_service.tiles.surface import Cells
@@ -164,12 +164,22 @@ def way_takes_of(legs: list[Leg], prefer: Prefer = Prefer.COMPANION) -> FloatArr
     return sum((way_takes(leg.path, beside(leg.space, leg.level, prefer)).sum(axis=0) for leg in legs), np.zeros(6))
 
 
-def steps_of(legs: list[Leg]) -> FloatArray:
-    """Rise and fall of a way in steps, and in high ones (2,) [m]."""
-    taken = np.zeros(2)
+def steps_of(legs: list[Leg]) -> tuple[float, float]:
+    """Rise and fall of a way in steps, and in high ones [m]."""
+    stepped, high = 0.0, 0.0
     for level, path, space in legs:
-        taken += steps_on(path, here(space, level))
-    return taken
+        more, higher = way_steps(path, here(space, level))
+        stepped, high = stepped + more, high + higher
+    return stepped, high
+
+
+def is_as_level(legs: list[Leg], others: list[Leg], more: float) -> bool:
+    """Whether a way takes no steps, or those of another one and at most so much more rise and fall [m]."""
+    stepped, high = steps_of(legs)
+    if stepped == high == 0.0:
+        return True
+    most, highest = steps_of(others)
+    return stepped <= most + more and high <= highest + more
 
 
 def find_cut(space: FreeSpace, stops: list[Endpoint]) -> tuple[Endpoint, Endpoint] | None:
@@ -586,8 +596,8 @@ def _pull_cheaply(
         first, last = rest.pop()
         piece = path[first : last + 1]
         room = radius_of(piece, places, about.reach, radius)
-        pulled = pull_tight(piece, places, room, ground) if between else pull(piece, places, room, ground)
-        taken = way_takes(pulled, about)
+        tight = piece[tighten(piece, places, room, ground)] if between else pull(piece, places, room, ground)
+        taken = way_takes(tight, about)
         most, done = _costs(taken, price)[-1] / PULLED, last - first < 2
         if not done:
             least = _costs(least_takes(path, about), price) if len(least) == 0 else least
@@ -596,8 +606,8 @@ def _pull_cheaply(
             spent = _costs(way_takes(path, about), price) if len(spent) == 0 else spent
             done = most <= spent[last] - spent[first]
         if done:
-            made.append(pulled)
-            rows += len(pulled)
+            made.append(tight)
+            rows += len(tight)
             takes += taken.sum(axis=0)
         else:
             middle = (first + last + 1) // 2

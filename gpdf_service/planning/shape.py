@@ -117,12 +117,6 @@ def pull(path: FloatArray, obstacles: Places, radius: float, ground: Cells) -> F
 
 
 @njit(cache=True, nogil=True)
-def pull_tight(path: FloatArray, obstacles: Places, radius: float, ground: Cells) -> FloatArray:
-    """What a string keeps of a way over places (n, 2) that is pulled tight between what it goes between: `tighten`."""
-    return path[tighten(path, obstacles, radius, ground)]
-
-
-@njit(cache=True, nogil=True)
 def radius_of(path: FloatArray, obstacles: Places, reach: float, radius: float) -> float:
     """The search's `radius` [m]; where an end of a way (n, 2) lies closer than the margin, the body's own `reach`."""
     room, scratch = np.inf, make_scratch()
@@ -138,14 +132,6 @@ def radius_within(room: float, reach: float, radius: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def is_joined(
-    a: FloatArray, b: FloatArray, obstacles: Places, radius: float, offsets: FloatArray, ground: Cells
-) -> bool:
-    """Whether the leg from a to b is clear and on known ground."""
-    return _is_joined(a, b, obstacles, radius, offsets, ground, make_scratch())
-
-
-@njit(cache=True, nogil=True)
 def _is_joined(
     a: FloatArray,
     b: FloatArray,
@@ -155,7 +141,7 @@ def _is_joined(
     ground: Cells,
     scratch: Scratch,
 ) -> bool:
-    """`is_joined` for a loop, which makes the scratch once."""
+    """Whether the leg from a to b is clear and on known ground."""
     if len(a) == 2:
         return is_straight(a, b, obstacles, radius, ground, scratch)
     return is_ground_known(ground, a, b) and is_leap_clear(obstacles, a, b, offsets, radius)
@@ -165,7 +151,7 @@ def _is_joined(
 def is_straight(
     a: FloatArray, b: FloatArray, obstacles: Places, radius: float, ground: Cells, scratch: Scratch
 ) -> bool:
-    """`is_joined` between places in plan, for a loop."""
+    """Whether the straight way between places in plan is clear and on known ground."""
     return is_ground_known(ground, a, b) and is_straight_clear(obstacles, a, b, radius, scratch)
 
 
@@ -223,12 +209,6 @@ def waypoints(path: FloatArray, spacing: float, ground: Cells, height: float) ->
         made[i, 0], made[i, 1], made[i, 2] = seed[i, 0], seed[i, 1], height_of(ground, seed[i, 0], seed[i, 1]) + height
         moves &= np.isfinite(made[i, 2])
     return made if moves else made[:0]
-
-
-@njit(cache=True, nogil=True)
-def rounded(xi: FloatArray, spacing: float) -> FloatArray:
-    """The `spline` in plan through what is distinct of waypoints, (n, 3)."""
-    return spline(distinct(np.ascontiguousarray(xi[:, :2])), spacing)
 
 
 @njit(cache=True, nogil=True)

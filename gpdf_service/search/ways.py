@@ -246,18 +246,13 @@ def _ground_takes(a: tuple[float, float], b: tuple[float, float], on: _Ground) -
 
 
 @njit(cache=True, nogil=True)
-def steps_on(path: FloatArray, here: Sequence[Here]) -> tuple[float, float]:
-    """`way_steps` on a level of a space."""
-    return way_steps(path, here[0].about)
-
-
-@lean()
-def way_steps(path: FloatArray, about: Beside) -> tuple[float, float]:
-    """Rise and fall in steps, and in high ones, of a way in plan, shape (n, ≥ 2) [m]."""
-    stepped, high = 0.0, 0.0
+def way_steps(path: FloatArray, here: Sequence[Here]) -> tuple[float, float]:
+    """Rise and fall in steps, and in high ones, of a way in plan on a level, shape (n, ≥ 2) [m]."""
+    about, stepped, high = here[0].about, 0.0, 0.0
+    on = about.ground, about.steps, about.slopes, about.glad_step
     for i in range(len(path) - 1):
         a, b = (path[i, 0], path[i, 1]), (path[i + 1, 0], path[i + 1, 1])
-        _, _, more, higher = _ground_takes(a, b, _ground_of(about))
+        _, _, more, higher = _ground_takes(a, b, on)
         stepped, high = stepped + more, high + higher
     return stepped, high
 

@@ -34,13 +34,14 @@ def space_of(floor, agent, surface=None, steps=None, slopes=None, obstacles=FAR)
     space = floor.free_space(agent)
     surface = surface or space.levels[0].surface
     zero = np.zeros(surface.state.shape)
-    return dataclasses.replace(
-        space,
-        surfaces=(surface,),
-        steps=(zero if steps is None else steps,),
-        slopes=(zero if slopes is None else slopes,),
-        trees=(Places(build_tree(obstacles)),),
+    level = dataclasses.replace(
+        space.levels[0],
+        surface=surface,
+        steps=zero if steps is None else steps,
+        slopes=zero if slopes is None else slopes,
+        places=Places(build_tree(obstacles)),
     )
+    return dataclasses.replace(space, levels=(level,))
 
 
 def certificate_of(space, path, top=0.0, heading=None):
@@ -257,7 +258,9 @@ def test_on_a_ramp_the_top_is_where_the_contact_is_all_along(floor):
     ramp = gpdf.build_scene(np.column_stack([x, y, np.column_stack([x, y]) @ up]), np.ones(x.size, dtype=bool))
     plan = np.column_stack([np.linspace(-1.5, 1.5, 4), np.linspace(-0.5, 0.5, 4)])
     path = np.column_stack([plan, plan @ up])
-    space = dataclasses.replace(ramp.free_space("human"), trees=(Places(build_tree(FAR)),))
+    space = ramp.free_space("human")
+    level = dataclasses.replace(space.levels[0], places=Places(build_tree(FAR)))
+    space = dataclasses.replace(space, levels=(level,))
     high = space.agent.height / np.cos(0.35) - space.agent.height
     assert high > 0.1
     found = certificate_of(space, path, high)

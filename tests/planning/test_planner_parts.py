@@ -9,7 +9,7 @@ import pytest
 
 import gpdf_service as gpdf
 from gpdf_service.config import PlanningConfig
-from gpdf_service.planning import footprint, planner
+from gpdf_service.planning import footprint, planner, routes
 from gpdf_service.planning.chomp import ChompResult
 from gpdf_service.planning.routes import Leg
 from gpdf_service.search import Prefer
@@ -159,7 +159,7 @@ def test_one_piece_is_bent_and_then_strictly(room, bends):
 def test_what_would_take_more_steps_as_one_is_bent_apart_and_stays_if_it_still_would(room, bends, monkeypatch):
     space = room.free_space("human")
     legs = two_legs(space)
-    monkeypatch.setattr(planner, "_as_level", lambda *_: False)
+    monkeypatch.setattr(planner, "is_as_level", lambda *_: False)
     tried = list(planner._tries(task_of(space), legs))
     assert [len(parts) for parts in tried] == [2, 2]
     assert [strict for _, strict, _ in bends] == [False, False, False, True, True]
@@ -234,8 +234,8 @@ def test_strictly_bent_a_piece_keeps_the_margin_of_the_search(room):
 
 def test_strictly_there_is_a_wall_as_far_off_as_what_a_chord_cuts_from_a_turn(room, monkeypatch):
     space, asked = room.free_space("human"), []
-    bend = planner.bend_on
-    monkeypatch.setattr(planner, "bend_on", lambda *args: asked.append(args) or bend(*args))
+    bend = planner.bend
+    monkeypatch.setattr(planner, "bend", lambda *args: asked.append(args) or bend(*args))
     for strict in (False, True):
         planner._bend(two_legs(space)[0], CONFIG, strict, np.inf)
     assert [bent_by[0][0].standing.weights.any() for _, _, bent_by, _ in asked] == [True, False]  # the GPDF, the points
@@ -256,9 +256,9 @@ def test_the_top_is_as_high_over_the_contact_as_the_body(room):
 
 def test_bending_keeps_the_steps_of_the_seed_but_for_a_diagonal(monkeypatch):
     for seed, bent, level in (((0.2, 0), (0.24, 0), True), ((0.3, 0.2), (0, 0.26), False), ((0.2, 0), (0.3, 0), False)):
-        taken = iter([np.array(bent), np.array(seed)])
-        monkeypatch.setattr(planner, "steps_of", lambda _, taken=taken: next(taken))
-        assert planner._as_level([], (None, None)) == level
+        taken = iter([bent, seed])
+        monkeypatch.setattr(routes, "steps_of", lambda _, taken=taken: next(taken))
+        assert routes.is_as_level([], [], planner.MORE_STEPS) == level
 
 
 def test_a_refusal_says_where_and_by_how_much_as_numbers(room):

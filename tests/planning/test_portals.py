@@ -24,7 +24,7 @@ def space():
         0.06, np.random.default_rng(0)
     )
     whole = gpdf.build_scene(points, ground).free_space("human")
-    surface = whole.surfaces[0]
+    surface = whole.levels[0].surface
     x = surface.origin[0] + (np.arange(surface.height.shape[0]) + 0.5) * surface.cell_width
 
     def only(kept):
@@ -32,9 +32,8 @@ def space():
         height[~kept], state[~kept] = np.nan, UNKNOWN
         return replace(surface, height=height, state=state)
 
-    names = "trees", "steps", "slopes", "noticed", "standing", "moving"
     surfaces = only(x < HELD[1]), only(x > HELD[0])
-    return replace(whole, surfaces=surfaces, **{name: getattr(whole, name) * 2 for name in names})
+    return replace(whole, levels=tuple(replace(whole.levels[0], surface=one) for one in surfaces))
 
 
 def legs_of(space, *paths):
