@@ -11,7 +11,7 @@ import gpdf_service as gpdf
 from gpdf_service.errors import CloudError, FieldError, SceneFileError
 from gpdf_service.planning.routes import Leg, pull_cheaply
 from gpdf_service.scene import level_under
-from gpdf_service.search import Prefer
+from gpdf_service.search.ways import Prefer
 from gpdf_service.store import flatten, read_arrays, write_arrays
 from gpdf_service.synthetic import SCANNERS, SCENES
 from gpdf_service.synthetic.places import PLACES

@@ -19,9 +19,10 @@ from gpdf_service.fields import build_tree
 from gpdf_service.ground import ObstacleKind, Obstacles
 from gpdf_service.planning.endpoints import SAME_GROUND, Endpoint, Refusal, find_endpoint
 from gpdf_service.scene import Scene
-from gpdf_service.search import FreeSpace, Quadtree, build_quadtree
+from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.graph import Graph, assemble, find_edges, price_pairs
 from gpdf_service.search.places import Places, nearest_places
+from gpdf_service.search.quadtree import Quadtree, build_quadtree
 from gpdf_service.tiles import HeightMap
 from gpdf_service.types import Agent, FloatArray, Status
 

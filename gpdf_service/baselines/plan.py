@@ -18,7 +18,7 @@ from gpdf_service.planning.endpoints import Endpoint, Refusal
 from gpdf_service.planning.shape import resample, subdivide
 from gpdf_service.planning.timing import time_path
 from gpdf_service.scene import Scene
-from gpdf_service.search import FreeSpace
+from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.types import Agent, Certificate, FloatArray, PlanResult, Status, Trajectory
 
 Baseline = Literal["single_gpdf", "astar", "prm"]

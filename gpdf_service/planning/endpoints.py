@@ -17,7 +17,7 @@ from gpdf_service.planning.certificate import FINEST
 from gpdf_service.planning.footprint import disc_places
 from gpdf_service.planning.shape import radius_within
 from gpdf_service.planning.words import measure, metres, place_words
-from gpdf_service.search import FreeSpace
+from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.motion import is_straight_clear
 from gpdf_service.search.nearest import nearest_free
 from gpdf_service.search.places import Places
@@ -164,9 +164,9 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
     width = space.levels[level].surface.cell_width
     same = [one for one, z in heights.items() if one == level or is_same_ground(z, heights[level], width)]
     if len(same) == 1 and space.agent.discs == 1:  # else the room decides, on the level or which way it faces
-        leaf = space.levels[level].quadtree.find_one(xy)
-        if leaf >= 0 and space.levels[level].quadtree.whole[leaf]:
-            return Endpoint(xy, level, leaf + space.levels[level].offset, heights[level])
+        node = space.levels[level].node_at(xy)
+        if node >= 0:
+            return Endpoint(xy, level, node, heights[level])
     rooms = {one: space.levels[one].room(xy) for one in same}
     level = max(same, key=lambda one: rooms[one][0])  # sheets end where others go on
     room, kind = rooms[level]
@@ -238,31 +238,27 @@ def radius_at(space: FreeSpace, room: float) -> float:
     return float(radius_within(room, space.reach, space.radius))
 
 
-def connect(space: FreeSpace, level: int, xy: FloatArray, room: float) -> int:
-    """The graph node of a free leaf whose centre is reached on a clear line from `xy`, with `room` [m]; -1 if none."""
-    tree = space.levels[level].quadtree
-    leaf = tree.find_one(xy)
-    if leaf >= 0 and tree.whole[leaf]:
-        return leaf + space.levels[level].offset
+def connect(space: FreeSpace, level: int, xy: FloatArray, room: float | None = None) -> int:
+    """The graph node of a free leaf whose centre is reached on a clear line from `xy`; -1 if none, or no body fits.
+
+    How much `room` there is [m] is only asked, where it is not given, in a leaf that is not wholly free.
+    """
+    own = space.levels[level]
+    tree, node = own.quadtree, own.node_at(xy)
+    if node >= 0:
+        return node
+    room = own.room(xy)[0] if room is None else room
+    if room < space.reach:
+        return -1
     for reach in (0.1 * NEXT, NEXT):  # most go on from a leaf beside them, and there are many further away
         free = tree.within(xy, reach)
         free = free[tree.free[free]]
         half = np.asarray(0.5 * tree.width * tree.size[free], dtype=np.float64)
         center = tree.origin + tree.corner[free] * tree.width + half[:, None]
-        row = _nearest_clear(space.levels[level].places, xy, center, half, radius_at(space, room))
+        row = _nearest_clear(own.places, xy, center, half, radius_at(space, room))
         if row >= 0:
-            return int(free[row]) + space.levels[level].offset
+            return int(free[row]) + own.offset
     return -1
-
-
-def connect_at(space: FreeSpace, level: int, xy: FloatArray) -> int:
-    """`connect` wherever the body fits; in a leaf that is wholly free no room is asked for."""
-    tree = space.levels[level].quadtree
-    leaf = tree.find_one(xy)
-    if leaf >= 0 and tree.whole[leaf]:
-        return leaf + space.levels[level].offset
-    room = space.levels[level].room(xy)[0]
-    return connect(space, level, xy, room) if room >= space.reach else -1
 
 
 @njit(cache=True, nogil=True)

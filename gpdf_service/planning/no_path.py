@@ -28,7 +28,7 @@ from gpdf_service.kernel_cache import lean
 from gpdf_service.planning.certificate import min_distance
 from gpdf_service.planning.endpoints import Endpoint
 from gpdf_service.planning.words import measure, place_words
-from gpdf_service.search import FreeSpace
+from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.places import nearest_places
 from gpdf_service.tiles import HeightMap
 from gpdf_service.tiles.nearest import nearest_of
@@ -246,22 +246,12 @@ def _lay_grid(space: FreeSpace, start: Endpoint, goal: Endpoint, hidden: float =
     told = [_told(space, n, low, high, hidden) for n in level]
     distance = np.full((len(Cut), *height.shape), np.inf)
     for own, (points, cut, _) in zip(distance.swapaxes(0, 1), told, strict=True):
-        marks = _mark(points, cut, low, width, own.shape)
+        marks, last = np.zeros(own.shape, np.bool_), np.array(own.shape[1:]) - 1.0
+        cells = np.clip((points[:, :2] - low) / width, 0.0, last)  # those beyond the grid count on its rim
+        marks[cut, *cells.astype(np.int64).T] = True
         for kind in np.flatnonzero(marks.any(axis=(1, 2))):
             own[kind] = width * nearest_of(marks[kind])[0]
     return _Grid(low, width, level, height, distance, told)
-
-
-@njit(cache=True, nogil=True)
-def _mark(
-    points: FloatArray, cut: NDArray[np.uint8], low: FloatArray, width: float, shape: tuple[int, int, int]
-) -> BoolArray:
-    """The cells that hold obstacles of each `Cut`; those beyond the grid count on its rim."""
-    marks = np.zeros(shape, np.bool_)
-    for i in range(len(points)):
-        u, v = (points[i, 0] - low[0]) / width, (points[i, 1] - low[1]) / width
-        marks[cut[i], int(min(max(u, 0.0), shape[1] - 1.0)), int(min(max(v, 0.0), shape[2] - 1.0))] = True
-    return marks
 
 
 def _is_known(surface: HeightMap, low: FloatArray, high: FloatArray) -> bool:

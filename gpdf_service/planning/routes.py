@@ -13,7 +13,7 @@ from numba import njit
 
 from gpdf_service.fields.tree import make_scratch
 from gpdf_service.kernel_cache import lean
-from gpdf_service.planning.endpoints import Endpoint, Ends, connect_at, radius_at
+from gpdf_service.planning.endpoints import Endpoint, Ends, connect, radius_at
 from gpdf_service.planning.shape import (
     distinct,
     is_path_clear,
@@ -25,10 +25,10 @@ from gpdf_service.planning.shape import (
     subdivide,
     tighten,
 )
-from gpdf_service.search import Doors, FreeSpace, Graph, Prefer, Ways, find_way, prices
-from gpdf_service.search.boxed import boxed
 from gpdf_service.search.core import Core, Search, climb, find_nodes, search_in, tops_of
-from gpdf_service.search.layered import above, below, start_above
+from gpdf_service.search.free_space import FreeSpace
+from gpdf_service.search.graph import Doors, Graph, find_way
+from gpdf_service.search.layered import below
 from gpdf_service.search.places import Places, distance_at
 from gpdf_service.search.steps import is_near_step
 from gpdf_service.search.ways import (
@@ -40,9 +40,13 @@ from gpdf_service.search.ways import (
     UNSEEN,
     Beside,
     Here,
+    Prefer,
+    Ways,
     beside,
+    boxed,
     here,
     least_takes,
+    prices,
     straight_takes,
     way_steps,
     way_takes,
@@ -260,15 +264,13 @@ def _over(
     return pulled, takes, by_step
 
 
-def _net(space: FreeSpace, core: Core) -> Sequence[_Net]:
+def _net(space: FreeSpace, core: Core) -> Sequence[Search]:
     """A space's graph and a core of it as they are searched; the box of its own core is kept."""
-    box: Sequence[_Net] | None = space.boxes.get(_Net) if core is space.core else None
+    box: Sequence[Search] | None = space.boxes.get(Search) if core is space.core else None
     if box is None:
-        places, levels = space.graph.position, space.graph.level
-        rows = (below(places), above(places), start_above(places)), (below(levels), above(levels), start_above(levels))
-        box = boxed(_Net(search_in(space.graph, core), rows))
+        box = boxed(search_in(space.graph, core))
         if core is space.core:
-            space.boxes[_Net] = box
+            space.boxes[Search] = box
     return box
 
 
@@ -396,20 +398,9 @@ class _Chain(NamedTuple):
     via: FloatArray
 
 
-_Rows = tuple[tuple[FloatArray, FloatArray, int], tuple[IntArray, IntArray, int]]
-"""Places and levels of a graph's nodes: those that stand, those that were added, and the first of these."""
-
-
-class _Net(NamedTuple):
-    """A graph as a core of it is searched, and where its nodes are."""
-
-    search: Search
-    rows: _Rows
-
-
 @njit(cache=True, nogil=True)
 def _pull_over(
-    net: Sequence[_Net],
+    net: Sequence[Search],
     of: tuple[int, int],
     ends: tuple[FloatArray, FloatArray],
     here: Sequence[Here],
@@ -417,11 +408,11 @@ def _pull_over(
     near: float,
 ) -> tuple[_Chain, FloatArray, FloatArray, bool]:
     """The way over a core from node to node; and `_pull` of it from end to end, (2,), if it is on one level."""
-    search, ((place, more_place, start), (on, more_on, _)) = net[0]
-    nodes, via = find_nodes(search, *of)
+    search = net[0]
+    (place, more_place), (on, more_on), (nodes, via) = search.place, search.level, find_nodes(search, *of)
     position, level = np.empty((len(nodes), 2)), np.empty(len(nodes), np.int64)
     for i in range(len(nodes)):
-        row = nodes[i] - start
+        row = nodes[i] - len(place)
         position[i] = place[nodes[i]] if row < 0 else more_place[row]
         level[i] = on[nodes[i]] if row < 0 else more_on[row]
     chain = _Chain(position, level, np.zeros(len(nodes), np.int64), via)
@@ -468,11 +459,11 @@ def _doors(ways: Ways, end: Endpoint) -> tuple[Doors, IntArray]:
     """
     able, level = ways.spaces[0], ways.spaces[-1]
     price = prices(able.agent, ways.prefer)
-    if level is not able and (own := connect_at(level, end.level, end.xy)) >= 0:
+    if level is not able and (own := connect(level, end.level, end.xy)) >= 0:
         leaf = np.array([own])
         node = _tops(ways, 1, leaf)
         return Doors(node, price[LENGTH] * np.linalg.norm(ways.graph.position[node] - end.xy, axis=1)), leaf
-    if (own := connect_at(able, end.level, end.xy)) < 0:
+    if (own := connect(able, end.level, end.xy)) < 0:
         return Doors(np.zeros(0, np.int64), np.zeros(0)), np.zeros(0, np.int64)
     leaf = np.array([own])
     node = _tops(ways, 0, leaf)

@@ -371,20 +371,26 @@ def _tops_of(net: Net, up: IntArray, kept: IntArray, nodes: IntArray) -> IntArra
 
 
 class Search(NamedTuple):
-    """What `find_nodes` asks of a graph and its core, in compiled form."""
+    """What `find_nodes` asks of a graph and its core, in compiled form; and places and levels of the graph's nodes.
+
+    Of crossings, places and levels it has those that stand, and those of the patch.
+    """
 
     links: Links
     up: IntArray
     kept: tuple[IntArray, IntArray]
     left: tuple[FloatArray, Net, FloatArray, Landmarks]
     via: _Both
+    place: _Both
+    level: tuple[IntArray, IntArray]
 
 
 def search_in(graph: Graph, core: Core) -> Search:
     """A graph and its core as they are searched."""
     left = core.graph
     asked = below(left.position), left.net, below(left.cost), left.landmarks
-    return Search(core.links, core.decided.up, (core.node, core.edge), asked, (below(graph.via), above(graph.via)))
+    via, place, level = ((below(rows), above(rows)) for rows in (graph.via, graph.position, graph.level))
+    return Search(core.links, core.decided.up, (core.node, core.edge), asked, via, place, level)
 
 
 @njit(cache=True, nogil=True)
@@ -393,7 +399,7 @@ def find_nodes(search: Search, start: int, goal: int) -> tuple[IntArray, FloatAr
 
     It is the cheapest one, but for narrow leaves that were left out: up to the core, over what is left, and down again.
     """
-    links, up, (node, edge), left, via = search
+    links, up, (node, edge), left, via, _, _ = search
     position, over, cost, landmarks = left
     of, standing = (start, goal), len(links.net.other)
     ends, height, free = np.empty(2, np.int64), np.zeros(2, np.int64), np.zeros(1)

@@ -73,6 +73,11 @@ class LevelSpace:
         count = len(self.standing.kind)
         return distance, int(self.standing.kind[row] if row < count else self.moving.kind[row - count])
 
+    def node_at(self, xy: FloatArray) -> int:
+        """Graph node of the wholly free leaf that holds a place, shape (2,); −1 if none does."""
+        leaf = self.quadtree.find_one(xy)
+        return leaf + self.offset if leaf >= 0 and self.quadtree.whole[leaf] else -1
+
     @property
     def kind(self) -> ByteArray:
         """Of what kind each obstacle is: those that stand, and then those that move."""

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+from numba.typed import List
 from numpy.typing import NDArray
 
 from gpdf_service.fields import AnyField, FieldArrays
@@ -22,7 +23,6 @@ from gpdf_service.fields.traversal import NearerArrays, nearest_only
 from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.ground import ObstacleKind
 from gpdf_service.kernel_cache import lean
-from gpdf_service.search.boxed import boxed
 from gpdf_service.search.core import Core
 from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.graph import Edges, Graph, assemble
@@ -109,6 +109,18 @@ def beside(space: FreeSpace, level: int, prefer: Prefer = Prefer.COMPANION) -> B
 
 Fields = tuple[AnyField, FieldArrays]
 """d_o, 2D, and d_g, 3D, in compiled form."""
+
+
+@njit(cache=True, nogil=True)
+def boxed(content: tuple[Any, ...]) -> Any:  # noqa: ANN401 - a sequence of what it is given
+    """A list of Numba's own that holds one tuple of arrays, which live as long as it does.
+
+    Numba takes a tuple over from Python array by array, at each call: some 0.25 µs each; such a list as it is, whatever
+    is in it. So what a space keeps for its plans is in lists of one tuple.
+    """
+    box = List()
+    box.append(content)
+    return box
 
 
 class Here(NamedTuple):

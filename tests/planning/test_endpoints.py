@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
-from gpdf_service.planning.endpoints import Endpoint, Refusal, connect_at, find_endpoint, find_ends
+from gpdf_service.planning.endpoints import Endpoint, Refusal, connect, find_endpoint, find_ends
 from gpdf_service.synthetic import Box, World
 from gpdf_service.types import AGENTS, PlanOptions, Status
 
@@ -149,7 +149,7 @@ def test_a_way_goes_on_from_a_place_exactly_where_the_body_fits(space):
         turned = np.column_stack([along, off] if side % 2 else [off, along])
         places.append(np.mean(BLOCK, axis=0) + (turned if side < 2 else -turned))
     for place in np.concatenate(places):
-        leaf, node = tree.find_one(place), connect_at(space, 0, place)
+        leaf, node = tree.find_one(place), connect(space, 0, place)
         if leaf >= 0 and tree.whole[leaf]:
             assert node == leaf + space.levels[0].offset
             continue

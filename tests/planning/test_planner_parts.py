@@ -12,8 +12,7 @@ from gpdf_service.config import PlanningConfig
 from gpdf_service.planning import footprint, planner, routes
 from gpdf_service.planning.chomp import ChompResult
 from gpdf_service.planning.routes import Leg
-from gpdf_service.search import Prefer
-from gpdf_service.search.ways import STEPPED, WIDE, prices
+from gpdf_service.search.ways import STEPPED, WIDE, Prefer, prices
 from gpdf_service.synthetic import Box, World
 from gpdf_service.types import AGENTS
 

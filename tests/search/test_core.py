@@ -2,10 +2,9 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
-from gpdf_service.search import find_path
 from gpdf_service.search.core import NARROW, climb, find_core, find_nodes, links_of, search_in
 from gpdf_service.search.free_space import core_of
-from gpdf_service.search.graph import assemble, price_pairs
+from gpdf_service.search.graph import assemble, find_path, price_pairs
 from gpdf_service.search.quadtree import MIN_WIDTH
 from gpdf_service.synthetic import Box, World
 from gpdf_service.tiles.nodes import components

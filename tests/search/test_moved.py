@@ -6,11 +6,12 @@ import pytest
 import gpdf_service as gpdf
 from gpdf_service.fields import build_tree
 from gpdf_service.planning import plan_path
-from gpdf_service.search import Prefer, build_quadtree, find_ways
 from gpdf_service.search.free_space import Setup, fit_obstacle_field, join_levels, level_space
 from gpdf_service.search.graph import find_edges
 from gpdf_service.search.layered import Layered
 from gpdf_service.search.places import Places
+from gpdf_service.search.quadtree import build_quadtree
+from gpdf_service.search.ways import Prefer, find_ways
 from gpdf_service.synthetic import SCENES
 from gpdf_service.types import AGENTS
 from tests.clients.two_storeys import make_house

@@ -5,9 +5,8 @@ from scipy.sparse.csgraph import dijkstra
 
 from gpdf_service.fields import build_tree, morton
 from gpdf_service.fields.tree import NO_POINTS
-from gpdf_service.search import find_path, is_clear
-from gpdf_service.search.graph import find_edges
-from gpdf_service.search.motion import CENTRE, least_distance
+from gpdf_service.search.graph import find_edges, find_path
+from gpdf_service.search.motion import CENTRE, is_clear, least_distance
 from gpdf_service.search.places import Places
 
 
