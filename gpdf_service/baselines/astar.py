@@ -25,7 +25,7 @@ def find_astar_path(world: FlatWorld, start: FloatArray, goal: FloatArray) -> Fl
     edges = find_path(graph, a, b)
     through = np.stack([graph.via[edges], graph.position[graph.other[edges]]], axis=1).reshape(-1, 2)
     path = np.vstack([start, graph.position[a], through, goal])
-    kept: FloatArray = path[shortcut(path, world.tree, world.radius, world.surface)]
+    kept: FloatArray = path[shortcut(path, world.tree, world.radius, np.zeros(1), world.surface.arrays)]
     return kept
 
 

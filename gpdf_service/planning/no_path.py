@@ -185,9 +185,8 @@ def _kept(space: FreeSpace) -> float:
 
 
 def _no_time(space: FreeSpace, start: Endpoint) -> NoPath:
-    at = np.append(start.xy, space.levels[start.level].surface.height_at(start.xy[None]))
     words = f"the {space.agent.name} cannot get there; the deadline left no time to say why. Allow more."
-    return NoPath(words, (), at, 0.0)
+    return NoPath(words, (), np.append(start.xy, start.floor), 0.0)
 
 
 def _narrow_words(at: FloatArray, width: float, radius: float, margin: float) -> str:
@@ -212,9 +211,8 @@ def _together(space: FreeSpace, grid: _Grid, ends: tuple[IntArray, IntArray], st
 def _tell(space: FreeSpace, start: Endpoint, found: list[_Found], largest: float, *, together: bool) -> NoPath:
     name = space.agent.name
     if not found:
-        at = np.append(start.xy, space.levels[start.level].surface.height_at(start.xy[None]))
         words = f"the {name} cannot get there: the ground of the start and that of the goal meet nowhere on the map."
-        return NoPath(f"{words} Map what lies between them.", (), at, 0.0)
+        return NoPath(f"{words} Map what lies between them.", (), np.append(start.xy, start.floor), 0.0)
     hint = (
         f"The largest body that passes has a radius of {measure(largest)} m." if largest else "No narrower body passes."
     )
@@ -331,18 +329,10 @@ def _highest(ground: Cells, u: int, v: int, reach: int) -> float:
     return top
 
 
-def _opened(grid: _Grid, cuts: tuple[Cut, ...]) -> tuple[FloatArray, BoolArray]:
-    """Distance to what is left when `cuts` are lifted, and where a centre may be."""
-    left = [kind for kind in Cut if kind not in cuts]
-    distance = grid.nearest
-    if cuts:
-        distance = grid.distance[left].min(axis=0, initial=np.inf)
-    return distance, grid.guessed if Cut.UNKNOWN in cuts else grid.known
-
-
 def _lift(grid: _Grid, ends: tuple[IntArray, IntArray], cuts: tuple[Cut, ...], radius: float) -> IntArray:
     """The way, cells (k, 3), when `cuts` stop nobody; empty where there is none."""
-    distance, known = _opened(grid, cuts)
+    distance = grid.distance[[kind for kind in Cut if kind not in cuts]].min(axis=0, initial=np.inf)
+    known = grid.guessed if Cut.UNKNOWN in cuts else grid.known
     if not _floods(_allow(distance >= radius, known, ends), grid.height, *ends):
         return np.zeros((0, 3), np.int64)
     return _way(grid, ends, distance, radius, known)
@@ -350,14 +340,16 @@ def _lift(grid: _Grid, ends: tuple[IntArray, IntArray], cuts: tuple[Cut, ...], r
 
 def _widest(grid: _Grid, ends: tuple[IntArray, IntArray], radius: float) -> float:
     """Largest radius up to the body's own that has a way [m], to half a cell; 0 if none of `LEAST_RADIUS` has."""
-    distance, known = _opened(grid, ())
+
+    def passes(wide: float) -> bool:
+        return bool(_floods(_allow(grid.nearest >= wide, grid.known, ends), grid.height, *ends))
+
     low, high = LEAST_RADIUS, radius
-    if not _floods(_allow(distance >= low, known, ends), grid.height, *ends):
+    if not passes(low):
         return 0.0
     while high - low > 0.5 * grid.width:
         middle = 0.5 * (low + high)
-        passes = _floods(_allow(distance >= middle, known, ends), grid.height, *ends)
-        low, high = (middle, high) if passes else (low, middle)
+        low, high = (middle, high) if passes(middle) else (low, middle)
     return low
 
 

@@ -9,14 +9,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.fields import FieldArrays, Gpdf
+from gpdf_service.fields import FieldArrays
 from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.kernel_cache import lean
 from gpdf_service.planning.costs import Memo, make_memo, recall
 from gpdf_service.search.core import NARROW
-from gpdf_service.search.motion import CENTRE, RESOLUTION, is_leap_clear, is_straight_clear
+from gpdf_service.search.motion import RESOLUTION, is_leap_clear, is_straight_clear
 from gpdf_service.search.places import Places, distance_at
-from gpdf_service.tiles import HeightMap
 from gpdf_service.tiles.surface import UNKNOWN, Cells, cell_of, height_of, rise_around
 from gpdf_service.types import FloatArray, IntArray
 
@@ -32,22 +31,15 @@ _STANDS = 1e-2
 """[-] A top this near to its height stands, as a share of it: a tenth of what a body may be off."""
 
 
-def shortcut(
-    path: FloatArray, obstacles: Places, radius: float, surface: HeightMap, offsets: FloatArray = CENTRE
-) -> IntArray:
+@njit(cache=True, nogil=True)
+def shortcut(path: FloatArray, obstacles: Places, radius: float, offsets: FloatArray, ground: Cells) -> IntArray:
     """Rows of a way over places (n, 2), or over poses (n, 3) of a body of discs, that a string pulled along it keeps.
 
     Each leg is proven clear of obstacles by `radius` [m], and lies on known ground: the path may lead around a hole.
     A leg between poses is a turn on the spot, a straight piece, and a turn.
-    """
-    return _shortcut(path, obstacles, radius, offsets, surface.arrays)
 
-
-@njit(cache=True, nogil=True)
-def _shortcut(path: FloatArray, obstacles: Places, radius: float, offsets: FloatArray, ground: Cells) -> IntArray:
-    """Greedy with doubling: from each kept row the furthest that doubling and halving find to be joined.
-
-    They begin beyond the rows that lie straight ahead, which are joined as they are, and with half of the last leap.
+    Greedy with doubling: from each kept row the furthest that doubling and halving find to be joined. They begin beyond
+    the rows that lie straight ahead, which are joined as they are, and with half of the last leap.
     """
     kept = [0]
     here = first = 0
@@ -108,12 +100,12 @@ def pull(path: FloatArray, obstacles: Places, radius: float, ground: Cells) -> F
 
     It keeps a `radius` [m] from the obstacles.
     """
-    centre = np.zeros(1)  # `CENTRE` itself is of a type that cannot be written to
-    rows = _shortcut(path, obstacles, radius, centre, ground)
+    centre = np.zeros(1)  # of a cylinder
+    rows = shortcut(path, obstacles, radius, centre, ground)
     if len(rows) == 2:  # straight, seen from either end
         return path[rows]
     back = np.ascontiguousarray(subdivide(path[rows], NARROW)[::-1])
-    return np.ascontiguousarray(back[_shortcut(back, obstacles, radius, centre, ground)][::-1])
+    return np.ascontiguousarray(back[shortcut(back, obstacles, radius, centre, ground)][::-1])
 
 
 @njit(cache=True, nogil=True)
@@ -309,7 +301,10 @@ def spline(path: FloatArray, spacing: float) -> FloatArray:
     return curve
 
 
-def stand_up(xy: FloatArray, surface: HeightMap, field: Gpdf, height: float) -> tuple[FloatArray, FloatArray]:
+@njit(cache=True, nogil=True)
+def stand_on(
+    xy: FloatArray, ground: Cells, ends: NDArray[np.float32], field: FieldArrays, height: float
+) -> tuple[FloatArray, FloatArray]:
     """Contact points and the body's top over them, both (n, 3).
 
     The top is where d_g = h, as in the paper (Newton steps along z; on level ground one), but within a tenth of the
@@ -318,15 +313,6 @@ def stand_up(xy: FloatArray, surface: HeightMap, field: Gpdf, height: float) -> 
     Only where the path takes a step that is higher than both tenths does the top rise before it as that surface does:
     no other way over it keeps the body's height from the ground all along.
     """
-    stood: tuple[FloatArray, FloatArray] = stand_on(xy, surface.arrays, surface.ends, field.arrays, height)
-    return stood
-
-
-@njit(cache=True, nogil=True)
-def stand_on(
-    xy: FloatArray, ground: Cells, ends: NDArray[np.float32], field: FieldArrays, height: float
-) -> tuple[FloatArray, FloatArray]:
-    """See `stand_up`."""
     contact, top = np.empty((len(xy), 3)), np.empty((len(xy), 3))
     if is_level(xy, ground, ends, height):
         for i in range(len(xy)):

@@ -71,7 +71,8 @@ def _stuck(space: FreeSpace, level: int, found: PoseSearch) -> Stuck:
 
 def _pull(space: FreeSpace, level: int, poses: FloatArray) -> FloatArray:
     """A way over poses, (n, 3), pulled straight: turn on the spot, go straight ahead, turn again; θ unwrapped."""
-    kept = shortcut(poses, space.levels[level].places, space.radius, space.levels[level].surface, space.agent.offsets)
+    own = space.levels[level]
+    kept = shortcut(poses, own.places, space.radius, space.agent.offsets, own.surface.arrays)
     parts = [poses[:1]]
     for a, b in pairwise(kept):
         parts.append(leap(poses[a], poses[b]) if b - a > 1 else poses[[b]])

@@ -220,19 +220,15 @@ def least_takes(path: FloatArray, about: Beside) -> FloatArray:
 @lean()
 def _look_at_ground(path: FloatArray, about: Beside, made: FloatArray) -> None:
     """Write what `least_takes` says."""
+    on = about.ground, about.steps, about.slopes, about.glad_step
     for i in range(len(path) - 1):
         a, b = (path[i, 0], path[i, 1]), (path[i + 1, 0], path[i + 1, 1])
-        taken = _ground_takes(a, b, _ground_of(about))
+        taken = _ground_takes(a, b, on)
         made[i, LENGTH], made[i, SLOPED], made[i, STEPPED], made[i, LEDGE] = taken
 
 
 _Ground = tuple[Cells, FloatArray, FloatArray, float]
 """Heights, steps and slopes of the ground, and the highest step that is gladly taken [m]."""
-
-
-@lean()
-def _ground_of(about: Beside) -> _Ground:
-    return about.ground, about.steps, about.slopes, about.glad_step
 
 
 @lean()

@@ -10,7 +10,7 @@ from scipy.ndimage import distance_transform_edt
 import gpdf_service as gpdf
 from gpdf_service.fields.tree import build_tree
 from gpdf_service.planning.certificate import _coarsest_spacing, certify
-from gpdf_service.planning.shape import stand_up
+from gpdf_service.planning.shape import stand_on
 from gpdf_service.search.places import Places
 from gpdf_service.synthetic import Box, World
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, Cells, count_cells
@@ -49,12 +49,18 @@ def with_places(space, places):
     return dataclasses.replace(space, levels=tuple(levels))
 
 
+def stand_up(space, xy):
+    """Contact points and tops on the only level."""
+    own = space.levels[0]
+    return stand_on(xy, own.surface.arrays, own.surface.ends, own.ground_field.arrays, space.agent.height)
+
+
 def certificate_of(scene, agent, begin=1.0, end=4.5):
     """Of the straight way along x, whatever stands there."""
     space = scene.free_space(agent)
     space = with_places(space, [Places(build_tree(FAR)) for _ in space.levels])
     xy = np.column_stack([np.arange(begin, end, 0.05), np.full(len(np.arange(begin, end, 0.05)), 1.5)])
-    ground, top = stand_up(xy, space.levels[0].surface, space.levels[0].ground_field, space.agent.height)
+    ground, top = stand_up(space, xy)
     contact = np.column_stack([xy, np.nan_to_num(ground[:, 2])])
     return certify(space, np.where(np.isfinite(top), top, contact), contact, np.zeros(len(xy), dtype=np.int64))
 
@@ -84,7 +90,7 @@ def test_the_tightest_place_has_the_height_of_the_way_there(scenes):
     """A point beside the way, at its foot, half up a ramp and at its head."""
     space = scenes["slope"].free_space("human")
     xy = np.column_stack([np.arange(1.0, 5.0, 0.05), np.full(80, 1.5)])
-    ground, top = stand_up(xy, space.levels[0].surface, space.levels[0].ground_field, space.agent.height)
+    ground, top = stand_up(space, xy)
     for x in (1.5, 3.0, 4.5):
         trees = (Places(build_tree(np.array([[x, 2.0]]))),)
         found = certify(with_places(space, trees), top, ground, np.zeros(len(xy), dtype=np.int64))
@@ -187,7 +193,7 @@ def test_beside_a_step_the_height_of_the_top_is_told_by_the_nearest_ground_or_by
     """Over its edge the top keeps its distance from the nearest ground, and is off its height over the contact."""
     space = scenes["step"].free_space("human")
     xy = np.column_stack([np.arange(1.0, 4.5, 0.05), np.full(70, 1.5)])
-    ground, top = stand_up(xy, space.levels[0].surface, space.levels[0].ground_field, space.agent.height)
+    ground, top = stand_up(space, xy)
     level = np.zeros(len(xy), dtype=np.int64)
     path = dataclasses.make_dataclass("Path", ["ground", "positions"])(ground, top)
     off = looked_at_closely(space, path, level)[1]

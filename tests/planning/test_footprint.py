@@ -15,7 +15,7 @@ from gpdf_service.planning.costs import Discs, Task, make_memo, obstacle_cost
 from gpdf_service.planning.footprint import disc_places, face, travel_headings
 from gpdf_service.planning.turning import time_poses
 from gpdf_service.search.lattice import find_poses
-from gpdf_service.search.motion import CENTRE, is_motion_clear
+from gpdf_service.search.motion import is_motion_clear
 from gpdf_service.synthetic import Box, Pillar, World, random_room
 from gpdf_service.types import AGENTS
 
@@ -236,7 +236,7 @@ def test_room_that_is_wanted_to_the_last_bit_costs_nothing():
         sample_at(field, (middle, 0.0, 0.0), scratch, slope, radius + room)
         low, high = (low, middle) if np.isnan(slope[0]) else (middle, high)
     xi, gradient = np.array([[high, y, 0.0] for y in (-0.1, 0.0, 0.1)]), np.zeros((3, 3))
-    assert cost_of(xi, 0.1, field, Discs(CENTRE, radius), room, gradient) == 0.0
+    assert cost_of(xi, 0.1, field, Discs(np.zeros(1), radius), room, gradient) == 0.0
     np.testing.assert_array_equal(gradient, 0.0)
 
 
@@ -261,7 +261,7 @@ def test_one_disc_at_the_centre_costs_what_a_cylinder_costs_whatever_its_heading
     field = scene.free_space("human").levels[0].obstacle_field.arrays
     xi = np.column_stack([np.linspace(1.2, 3.4, 12), np.linspace(1.0, 1.6, 12), np.full(12, 2.0)])
     gradient = np.zeros_like(xi)
-    cost = cost_of(xi, 0.2, field, Discs(CENTRE, 0.25), 0.5, gradient)
+    cost = cost_of(xi, 0.2, field, Discs(np.zeros(1), 0.25), 0.5, gradient)
     d = scene.obstacle_field("human").query(xi[1:-1, :2]).distance - 0.25
     c = np.where(d < 0, 0.25 - d, np.where(d < 0.5, (d - 0.5) ** 2 / 1.0, 0.0))
     assert cost == pytest.approx((c * 0.5 * np.linalg.norm(xi[2:, :2] - xi[:-2, :2], axis=1)).sum())

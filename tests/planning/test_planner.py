@@ -15,7 +15,6 @@ from gpdf_service.planning.chomp import Stop, Wants, optimize, solve_banded
 from gpdf_service.planning.costs import Discs
 from gpdf_service.planning.routes import Leg
 from gpdf_service.planning.shape import resample
-from gpdf_service.search.motion import CENTRE
 from gpdf_service.synthetic import SCENES, Box, World, random_room
 from gpdf_service.types import AGENTS
 from tests.clients.two_storeys import make_house
@@ -246,7 +245,7 @@ def test_chomp_never_raises_the_cost_and_lowers_it(office):
     space = scene.free_space("human")
     xi = np.column_stack([np.linspace(0.8, 4.5, 40), np.linspace(0.8, 2.2, 40), np.full(40, 1.9)])
     fields = space.levels[0].obstacle_field.arrays, space.levels[0].ground_field.arrays
-    found = optimize(xi.copy(), fields, Discs(CENTRE, 0.25), Wants(2.0, 0.25, 0.0, 0.1), Stop(100, 1e-4))
+    found = optimize(xi.copy(), fields, Discs(np.zeros(1), 0.25), Wants(2.0, 0.25, 0.0, 0.1), Stop(100, 1e-4))
     assert (np.diff(found.costs) <= 0).all()
     assert found.costs[-1] < 0.97 * found.costs[0]
     np.testing.assert_array_equal(found.xi[[0, -1]], xi[[0, -1]])
@@ -259,7 +258,7 @@ def test_chomp_comes_to_rest_for_any_radius(office):
     xi = np.column_stack([np.linspace(0.8, 4.5, 40), np.linspace(0.8, 2.2, 40), np.full(40, 1.9)])
     fields = space.levels[0].obstacle_field.arrays, space.levels[0].ground_field.arrays
     for radius in rng.uniform(0.15, 0.35, 60):
-        found = optimize(xi.copy(), fields, Discs(CENTRE, radius), Wants(2.0, 0.25, 0.0, 0.1), Stop(100, 1e-4))
+        found = optimize(xi.copy(), fields, Discs(np.zeros(1), radius), Wants(2.0, 0.25, 0.0, 0.1), Stop(100, 1e-4))
         assert found.converged, radius
         assert np.isfinite(found.xi).all()
         assert found.costs[-1] < found.costs[0]
@@ -271,7 +270,7 @@ def test_waypoints_do_not_wait_for_one_that_has_far_to_go():
     fields = space.levels[0].obstacle_field.arrays, space.levels[0].ground_field.arrays
     x = np.linspace(1.0, 19.0, 97)
     y = np.where(x < 12.0, 0.3, 0.3 + 4.0 * np.sin(np.pi * (x - 12.0) / 7.0))  # along a wall, then far aside
-    given = Discs(CENTRE, 0.25), Wants(2.0, 0.25, 0.0, 0.19)
+    given = Discs(np.zeros(1), 0.25), Wants(2.0, 0.25, 0.0, 0.19)
     seed = np.column_stack([x, y, np.full(97, 2.0)])
     rest, soon = (optimize(seed.copy(), fields, *given, Stop(most, 1e-4)).xi for most in (100, 3))
     assert np.ptp(rest[x > 12.0, 1]) < 0.3 < np.ptp(soon[x > 12.0, 1])

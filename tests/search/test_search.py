@@ -6,7 +6,7 @@ from scipy.sparse.csgraph import dijkstra
 from gpdf_service.fields import build_tree, morton
 from gpdf_service.fields.tree import NO_POINTS
 from gpdf_service.search.graph import find_edges, find_path
-from gpdf_service.search.motion import CENTRE, is_clear, least_distance
+from gpdf_service.search.motion import is_clear, least_distance
 from gpdf_service.search.places import Places
 
 
@@ -130,7 +130,7 @@ def test_a_segment_and_a_polyline_know_their_distance_to_points_exactly(count):
         for one, two, least in zip(path[:-1], path[1:], distance, strict=True):
             assert is_clear(places, one, two, least - 1e-9)
             assert not is_clear(places, one, two, least + 1e-9)
-        least, where = least_distance(places, np.column_stack([path, np.zeros(80)]), CENTRE, 1e-3)
+        least, where = least_distance(places, np.column_stack([path, np.zeros(80)]), np.zeros(1), 1e-3)
         assert least == pytest.approx(distance.min(), abs=1e-9)
         assert np.linalg.norm(every - where, axis=1).min() == pytest.approx(least, abs=1e-9)
 
