@@ -20,17 +20,8 @@ from gpdf_service.clouds import check_finite, check_labels, check_points
 from gpdf_service.config import Config
 from gpdf_service.denoise import FAR
 from gpdf_service.errors import CloudError, SceneFileError
-from gpdf_service.fields import (
-    Gpdf,
-    Lattice,
-    Nearer,
-    check_queries,
-    fit_gpdf,
-    fit_lattice,
-    lattice_of,
-    points_of_lattice,
-    restore_lattice,
-)
+from gpdf_service.fields import Gpdf, Nearer, check_queries, fit_gpdf
+from gpdf_service.fields.lattice import Lattice, fit_lattice, lattice_of, points_of_lattice, restore_lattice
 from gpdf_service.fields.spacing import estimate_spacing, thin
 from gpdf_service.fields.threads import run_parallel
 from gpdf_service.ground import GroundLevel, Levels, Scan, Touched, are_voxels
@@ -52,19 +43,11 @@ from gpdf_service.perception import (
 from gpdf_service.perception.budget import give_back
 from gpdf_service.perception.cure import NOISE_STEP
 from gpdf_service.perception.segment import LEAST_SCATTER
-from gpdf_service.search import (
-    FreeSpace,
-    Prefer,
-    Setup,
-    Ways,
-    add_moving,
-    build_free_space,
-    change_free_space,
-    find_ways,
-    from_arrays,
-    level_body,
-    to_arrays,
-)
+from gpdf_service.search.change import change_free_space
+from gpdf_service.search.free_space import FreeSpace, Setup, build_free_space
+from gpdf_service.search.keep import from_arrays, to_arrays
+from gpdf_service.search.moved import add_moving
+from gpdf_service.search.ways import Prefer, Ways, find_ways, level_body
 from gpdf_service.shades import Shades
 from gpdf_service.store import Arrays, flatten, read_arrays, restore, under, write_arrays
 from gpdf_service.tiles import HeightMap
@@ -298,7 +281,8 @@ class Scene:
 
     def obstacle_field(self, agent: str | Agent) -> ObstacleField:
         """Distance in plan to what stops `agent`; built on first use."""
-        return ObstacleField(self.surfaces, self.free_space(agent).obstacle_fields)
+        levels = self.free_space(agent).levels
+        return ObstacleField(self.surfaces, tuple(own.obstacle_field for own in levels))
 
     def free_space(self, agent: str | Agent) -> FreeSpace:
         """Where `agent` can be, and how those places connect; built on first use and kept."""
@@ -461,14 +445,7 @@ class Scene:
         now = change(perceived, gone, fresh, labels, self.config.perception)
         progress("change ground fields", 0.5)
 
-        def one(i: int) -> Gpdf:
-            new, k = now.levels.levels[i], now.survey.former[i]
-            if k < 0:
-                return _fit_ground(new, self.config)
-            field, old = self.ground_fields[k], self.levels.levels[k]
-            return field if new.surface is old.surface else _fit_ground(new, self.config, (field, old))
-
-        fields = tuple(run_parallel(one, range(len(now.levels.levels))))
+        fields = _fit_grounds(now.levels, self.config, self, now.survey.former)
         progress("ready", 1.0)
         known = self.version + 1, self.noise, self.labelled
         scene = Scene(now.points, now.ground, now.levels, fields, self.config, *known, now, drift)
@@ -676,7 +653,7 @@ def assemble_scene(
     levels, survey = survey_levels(points, labelled, config.perception, width=width, noise=noise, rays=rays, held=held)
     give_back(len(cloud))
     progress("fit ground fields", 0.7)
-    fields = _fit_grounds(levels, config, like)
+    fields = _fit_grounds(levels, config, like, range(len(like.surfaces)) if like is not None else ())
     progress("ready", 1.0)
     noise = cured.measured if cured.measured > config.perception.negligible_noise else 0.0
     version = 1 if like is None else like.version + 1
@@ -686,12 +663,20 @@ def assemble_scene(
     return Scene(held if lasting else cloud, ground, levels, fields, config, *facts, perceived, rays=rays)
 
 
-def _fit_grounds(levels: Levels, config: Config, like: Scene | None) -> tuple[Gpdf, ...]:
-    """The Ground GPDF of each level; what is as it was in the scene `like` is taken over."""
-    old = () if like is None else tuple(zip(like.ground_fields, like.levels.levels, strict=True))
+def _fit_grounds(levels: Levels, config: Config, like: Scene | None, former: Sequence[int]) -> tuple[Gpdf, ...]:
+    """The Ground GPDF of each level, solved where the ground is another than in the scene `like`.
+
+    Each was the `former` level there, −1 for none; those beyond its end were none, too.
+    """
 
     def fit(i: int) -> Gpdf:
-        return _fit_ground(levels.levels[i], config, old[i] if i < len(old) else None)
+        level, k, before = levels.levels[i], former[i] if i < len(former) else -1, None
+        if like is not None and k >= 0:
+            field, old = like.ground_fields[k], like.levels.levels[k]
+            if level.surface is old.surface:
+                return field
+            before = field, _lattice(old, config)
+        return fit_lattice(_lattice(level, config), level.surface, before)
 
     return tuple(run_parallel(fit, range(len(levels.levels))))
 
@@ -702,9 +687,3 @@ def _lattice(level: GroundLevel, config: Config, corner: FloatArray | None = Non
     height = np.where(surface.state != UNKNOWN, surface.height, np.nan)
     made = lattice_of(height, surface.origin if corner is None else corner, surface.cell_width, config.fields)
     return made if corner is None else made._replace(origin=surface.origin)
-
-
-def _fit_ground(level: GroundLevel, config: Config, former: tuple[Gpdf, GroundLevel] | None = None) -> Gpdf:
-    """The level's Ground GPDF, solved where the ground is another than that of the `former` one."""
-    before = former and (former[0], _lattice(former[1], config))
-    return fit_lattice(_lattice(level, config), level.surface, before)

@@ -46,7 +46,7 @@ class Warming:
         made, scene = self._office, self._scene
         scene.prepare("human")
         plan(scene, made.start, made.goal)
-        leaves = scene.free_space("human").quadtrees[0].standing
+        leaves = scene.free_space("human").levels[0].quadtree.standing
         plan(scene, *leaves.center[leaves.free & ~leaves.whole][[0, -1]])  # from beside one obstacle to another one
         plan(scene.with_obstacles(np.array([[*made.start[:2], 1.0]])), made.start, made.goal)
         with tempfile.TemporaryDirectory() as folder:

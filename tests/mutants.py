@@ -64,7 +64,7 @@ SHOWN = 150
 """Characters of a change."""
 ENDPOINTS, IN_USE = "gpdf_service/planning/endpoints.py", "gpdf_service/service/in_use.py"
 SWEPT_AT = "if self._total + size - self._sizes.get(scene, 0) > MAX_IN_ALL and now - self._swept > SWEEP_S:"
-AT_A_DISC = "space.clearance(level, disc_places(poses, offset))[0]"
+AT_A_DISC = "space.levels[level].clearance(disc_places(poses, offset))[0]"
 FIRST = "seconds = 0.0 if self._stepped is None else now - self._stepped"
 SWEPT = "moved = np.linalg.norm(np.diff(trajectory.ground[:, :2], axis=0), axis=1) + agent.offsets[-1] * turned"
 PIECES = "pieces: FloatArray = np.maximum(1, np.ceil(moved / SPACING))"
@@ -115,11 +115,6 @@ EQUAL: dict[tuple[str, ...], str] = {
     (ENDPOINTS, "-1 → (1)", RIM): "the map's rim is wider than a cell",
     (ENDPOINTS, "1 → (2)", RIM): "the map's rim is wider than a cell",
     (PLANNER, "300_000 → (300001)"): "a waypoint more in a second",
-    (
-        PLANNER,
-        "not taken.any() or bool((taken <= steps_of(pieces) + MORE_STEPS).all())"
-        " → (bool((taken <= steps_of(pieces) + MORE_STEPS).all()))",
-    ): "what takes no step takes no more",
     (PLANNER, "True → (False)", NAMED): "a place has three numbers",
     (TIMING, "1 → (2)", ENDED): "what has arrived stays there",
     (

@@ -50,7 +50,7 @@ def test_the_ground_lies_where_it_is_and_a_step_stays_a_step(noisy, clean):
     both = [scene.surfaces[0].height_at(xy) for scene in (noisy, clean)]
     error = np.abs(both[0] - both[1])[np.isfinite(both[0]) & np.isfinite(both[1])]
     assert np.quantile(error, 0.9) < 0.01  # a fifth of the noise
-    assert noisy.free_space("roomba").steps[0].max() > 0.3
+    assert noisy.free_space("roomba").levels[0].steps.max() > 0.3
 
 
 def test_two_metres_over_the_floor_the_distance_is_right(noisy, clean):
@@ -151,7 +151,7 @@ def test_a_floor_that_a_scanner_has_looked_straight_down_on_is_as_free_as_that_f
     scene = gpdf.build_scene(points)
     assert scene.noise == pytest.approx(below, rel=0.25)
     space = scene.free_space("roomba")
-    clearance, _ = space.clearance(0, rng.uniform([0.5, 0.5], [7.5, 2.5], (2000, 2)))
+    clearance, _ = space.levels[0].clearance(rng.uniform([0.5, 0.5], [7.5, 2.5], (2000, 2)))
     assert (clearance >= space.reach).mean() > 0.8  # 0.45 by the noise of the places that show least of it
 
 

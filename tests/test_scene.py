@@ -11,7 +11,7 @@ import gpdf_service as gpdf
 from gpdf_service.errors import CloudError, FieldError, SceneFileError
 from gpdf_service.planning.routes import Leg, pull_cheaply
 from gpdf_service.scene import level_under
-from gpdf_service.search import Prefer
+from gpdf_service.search.ways import Prefer
 from gpdf_service.store import flatten, read_arrays, write_arrays
 from gpdf_service.synthetic import SCANNERS, SCENES
 from gpdf_service.synthetic.places import PLACES
@@ -248,8 +248,8 @@ def test_what_is_put_in_after_something_else_is_put_in_beside_it(office):
     one, other = np.array([[2.0, 2.0, 0.05]]), np.array([[3.0, 2.0, 0.05]])
     both = office[1].with_obstacles(one).with_obstacles(other)
     np.testing.assert_array_equal(both.moving, np.concatenate([one, other]))
-    assert (both.free_space("roomba").clearance(0, both.moving[:, :2])[0] == 0.0).all()
-    assert (office[1].free_space("roomba").clearance(0, both.moving[:, :2])[0] > 0.0).all()
+    assert (both.free_space("roomba").levels[0].clearance(both.moving[:, :2])[0] == 0.0).all()
+    assert (office[1].free_space("roomba").levels[0].clearance(both.moving[:, :2])[0] > 0.0).all()
 
 
 def test_what_moves_is_not_written(office, tmp_path):
@@ -258,7 +258,7 @@ def test_what_moves_is_not_written(office, tmp_path):
     scene.save(tmp_path / "scene.gpdf")
     back = gpdf.load_scene(tmp_path / "scene.gpdf").free_space("roomba")
     assert len(back.graph.position) == len(office[1].free_space("roomba").graph.position)
-    assert back.clearance(0, np.array([[2.0, 2.0]]))[0] > 0.0
+    assert back.levels[0].clearance(np.array([[2.0, 2.0]]))[0] > 0.0
 
 
 def test_the_level_is_the_highest_ground_under_a_point():

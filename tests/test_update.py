@@ -41,7 +41,7 @@ def test_a_further_scan_equals_a_scene_from_scratch(office, blocked):
     ours, theirs = blocked.ground_field.query(queries), scratch.ground_field.query(queries)
     np.testing.assert_array_equal(ours.valid, theirs.valid)
     np.testing.assert_allclose(ours.distance, theirs.distance, atol=1e-3)
-    one, other = blocked.free_space("human").quadtrees[0], scratch.free_space("human").quadtrees[0]
+    one, other = blocked.free_space("human").levels[0].quadtree, scratch.free_space("human").levels[0].quadtree
     np.testing.assert_array_equal(one.center[one.free], other.center[other.free])
 
 
@@ -73,7 +73,7 @@ def test_what_hangs_over_a_body_leaves_its_obstacles_and_its_graph_as_they_were(
     assert len(hung.levels.levels[0].other_points) == len(office.levels.levels[0].other_points) + len(points)
     for name in ("graph", "core"):
         assert getattr(after, name) is getattr(before, name)
-    assert after.standing[0] is before.standing[0]
+    assert after.levels[0].standing is before.levels[0].standing
     assert not differences(hung, from_scratch(hung))
 
 
@@ -166,9 +166,10 @@ def assert_equal_scenes(one, other, *agents):
     for agent in agents:
         ours, theirs = one.free_space(agent), other.free_space(agent)
         assert_equal_fields(one.obstacle_field(agent), other.obstacle_field(agent), queries[:, :2])
-        for a, b in zip(ours.obstacles, theirs.obstacles, strict=True):
-            np.testing.assert_array_equal(*(in_order(np.column_stack([each.points, each.kind])) for each in (a, b)))
-        for a, b in zip(ours.quadtrees, theirs.quadtrees, strict=True):
+        for now, then in zip(ours.levels, theirs.levels, strict=True):
+            stopping = (np.column_stack([each.obstacles.points, each.kind]) for each in (now, then))
+            np.testing.assert_array_equal(*map(in_order, stopping))
+            a, b = now.quadtree, then.quadtree
             for name in ("code", "size", "free", "whole"):
                 np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
             np.testing.assert_allclose(a.clearance, b.clearance, rtol=1e-12)  # sums in another order
@@ -260,7 +261,7 @@ def test_more_obstacles_than_there_were_can_come_at_once():
     floor = np.column_stack([plan, np.zeros(len(plan))])
     points = np.concatenate([floor, box((1.0, 1.0, 0.1), (1.2, 1.2, 1.0), 30)])
     scene = gpdf.build_scene(points, np.arange(len(points)) < len(floor))
-    before = len(scene.free_space("human").obstacles[0].points)
+    before = len(scene.free_space("human").levels[0].obstacles.points)
     fresh = box((3.0, 3.0, 0.1), (4.0, 4.0, 1.0), 900)
     changed = scene.update(insert=fresh, ground=np.zeros(len(fresh), dtype=bool))
     assert changed.perceived.touched
@@ -363,16 +364,16 @@ def test_a_level_that_comes_and_goes_leaves_the_free_space_of_the_others():
     floor, upper = (np.column_stack([x, y, np.full(x.size, z)])[chosen] for z, chosen in ((0.0, x < 9), (4.0, x > 5)))
     points = np.concatenate([floor, upper, box((6.0, 3.0, 4.1), (6.4, 3.6, 5.0), 500)])
     scene = gpdf.build_scene(points, points[:, 2] % 4.0 == 0.0)
-    before = scene.free_space("human").quadtrees
+    before = scene.free_space("human").levels
     slab = np.column_stack([x, y, np.full(x.size, 2.0)])[(x > 1) & (x < 2.2) & (y > 2) & (y < 3.2)]
     more = scene.update(insert=slab, ground=np.ones(len(slab), dtype=bool))
     assert [k for k, _ in more.perceived.touched] == [0, -1, 1]
-    assert more.free_space("human").quadtrees[2] is before[1]
+    assert more.free_space("human").levels[2].quadtree is before[1].quadtree
     assert_equal_scenes(more, from_scratch(more), "human")
     assert_equal_cores(more, from_scratch(more))
     fewer = more.update(remove=np.arange(len(points), len(more.points)))  # its space is not asked for
     fewer = fewer.update(remove=[0])
-    assert fewer.free_space("human").quadtrees[1] is before[1]
+    assert fewer.free_space("human").levels[1].quadtree is before[1].quadtree
     assert_equal_scenes(fewer, from_scratch(fewer), "human")
     assert_equal_cores(fewer, from_scratch(fewer))
 

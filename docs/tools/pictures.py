@@ -108,7 +108,7 @@ def _certificate(made: SyntheticScene, scene: gpdf.Scene, path: Path) -> None:
     assert result.certificate is not None
     xy = result.trajectory.ground[:, :2]
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))])
-    room = scene.free_space("human").clearance(0, xy)[0] - gpdf.AGENTS["human"].radius
+    room = scene.free_space("human").levels[0].clearance(xy)[0] - gpdf.AGENTS["human"].radius
     axes.plot(along, room, ".-", color=COLOURS[0], label="clearance at each waypoint, exact")
     bound = result.certificate.min_clearance
     axes.axhline(bound, color=COLOURS[1], label=f"certified for everything between them, too: {bound:.3f} m")

@@ -6,7 +6,8 @@ import numpy as np
 
 from gpdf_service.baselines.flat import FlatWorld
 from gpdf_service.planning.shape import shortcut
-from gpdf_service.search import find_path, is_clear
+from gpdf_service.search.graph import find_path
+from gpdf_service.search.motion import is_clear
 from gpdf_service.types import FloatArray
 
 NEAREST_LEAVES = 32
@@ -24,7 +25,7 @@ def find_astar_path(world: FlatWorld, start: FloatArray, goal: FloatArray) -> Fl
     edges = find_path(graph, a, b)
     through = np.stack([graph.via[edges], graph.position[graph.other[edges]]], axis=1).reshape(-1, 2)
     path = np.vstack([start, graph.position[a], through, goal])
-    kept: FloatArray = path[shortcut(path, world.tree, world.radius, world.surface)]
+    kept: FloatArray = path[shortcut(path, world.tree, world.radius, np.zeros(1), world.surface.arrays)]
     return kept
 
 

@@ -19,9 +19,10 @@ from gpdf_service.fields import build_tree
 from gpdf_service.ground import ObstacleKind, Obstacles
 from gpdf_service.planning.endpoints import SAME_GROUND, Endpoint, Refusal, find_endpoint
 from gpdf_service.scene import Scene
-from gpdf_service.search import FreeSpace, Quadtree, build_quadtree
+from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.graph import Graph, assemble, find_edges, price_pairs
 from gpdf_service.search.places import Places, nearest_places
+from gpdf_service.search.quadtree import Quadtree, build_quadtree
 from gpdf_service.tiles import HeightMap
 from gpdf_service.types import Agent, FloatArray, Status
 
@@ -78,10 +79,7 @@ def flat_worlds(scene: Scene, agent: Agent) -> tuple[FlatWorld, ...]:
     kept, worlds = _MADE.get(scene, (None, ()))
     if kept != agent:
         space = scene.free_space(agent)
-        worlds = tuple(
-            FlatWorld(surface, _seen(obstacles), space.radius)
-            for surface, obstacles in zip(space.surfaces, space.obstacles, strict=True)
-        )
+        worlds = tuple(FlatWorld(own.surface, _seen(own.obstacles), space.radius) for own in space.levels)
         _MADE[scene] = agent, worlds
     return worlds
 

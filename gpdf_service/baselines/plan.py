@@ -18,7 +18,7 @@ from gpdf_service.planning.endpoints import Endpoint, Refusal
 from gpdf_service.planning.shape import resample, subdivide
 from gpdf_service.planning.timing import time_path
 from gpdf_service.scene import Scene
-from gpdf_service.search import FreeSpace
+from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.types import Agent, Certificate, FloatArray, PlanResult, Status, Trajectory
 
 Baseline = Literal["single_gpdf", "astar", "prm"]
@@ -100,7 +100,7 @@ def _distinct(top: FloatArray) -> FloatArray:
 def _certified(space: FreeSpace, level: int, top: FloatArray, method: Baseline) -> PlanResult:
     """Stand under the path, certify, stamp; UNCERTIFIED where the certificate does not hold."""
     agent = space.agent
-    floor = space.surfaces[level].height_at(top[:, :2])
+    floor = space.levels[level].surface.height_at(top[:, :2])
     contact = np.column_stack([top[:, :2], np.where(np.isnan(floor), top[:, 2] - agent.height, floor)])
     times, headings = time_path(top, agent)
     proven = certify(space, top, contact, np.full(len(top), level), headings)

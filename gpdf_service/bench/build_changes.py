@@ -98,7 +98,7 @@ def differences(one: Scene, other: Scene) -> list[str]:
     portals = ([portal.points for portal in scene.levels.portals] for scene in (one, other))
     found += [] if all(np.array_equal(a, b) for a, b in zip(*portals, strict=True)) else ["portals"]
     spaces = one.free_space("human"), other.free_space("human")
-    for first, second in zip(*(space.quadtrees for space in spaces), strict=True):
+    for first, second in zip(*([own.quadtree for own in space.levels] for space in spaces), strict=True):
         leaves = (
             np.array_equal(getattr(first, key), getattr(second, key)) for key in ("corner", "size", "free", "whole")
         )

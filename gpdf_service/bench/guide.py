@@ -191,7 +191,7 @@ def where_people_stand(scene: Scene, agent: Agent) -> Callable[[FloatArray], Flo
     def ground(places: FloatArray) -> FloatArray:
         xy, found = places[:, :2], np.full(len(places), np.nan)
         for level, surface in enumerate(scene.surfaces):
-            stands = surface.contains(xy) & (space.clearance(level, xy)[0] >= RADIUS)
+            stands = surface.contains(xy) & (space.levels[level].clearance(xy)[0] >= RADIUS)
             height = np.where(stands, surface.height_at(xy), np.nan)
             near, before = np.abs(height - places[:, 2]), np.abs(found - places[:, 2])
             found = np.where((near < STOREY) & ~(near >= before), height, found)
@@ -206,7 +206,7 @@ def places_on(scene: Scene, level: int, agent: Agent, count: int, rng: np.random
     low, size = surface.origin, np.array(surface.height.shape) * surface.cell_width
     xy = rng.uniform(low, low + size, (40 * count, 2))
     xy = xy[surface.contains(xy)]
-    xy = xy[space.clearance(level, xy)[0] >= agent.disc_radius][:count]
+    xy = xy[space.levels[level].clearance(xy)[0] >= agent.disc_radius][:count]
     return np.column_stack([xy, surface.height_at(xy)])
 
 

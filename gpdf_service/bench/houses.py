@@ -120,7 +120,7 @@ def free_places(scene: Scene, agent: Agent, count: int, rng: np.random.Generator
     space, places = scene.free_space(agent), []
     for level, surface in enumerate(space.surfaces):
         centres = surface.centres(surface.state != UNKNOWN)
-        places.append(centres[space.clearance(level, centres[:, :2])[0] >= space.reach])
+        places.append(centres[space.levels[level].clearance(centres[:, :2])[0] >= space.reach])
     return rng.permutation(np.concatenate(places))[:count]
 
 

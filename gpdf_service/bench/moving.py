@@ -100,9 +100,9 @@ def _pair(scene: Scene, agent: Agent, rng: np.random.Generator) -> FloatArray:
     area = np.array([np.count_nonzero(surface.state) for surface in space.surfaces], dtype=float)
     while len(found) < 2:
         level = int(rng.choice(len(area), p=area / area.sum()))
-        surface = space.surfaces[level]
+        surface = space.levels[level].surface
         xy = surface.origin + rng.random((64, 2)) * surface.height.shape * surface.cell_width
-        good = surface.contains(xy) & (space.clearance(level, xy)[0] >= space.reach)
+        good = surface.contains(xy) & (space.levels[level].clearance(xy)[0] >= space.reach)
         found += list(np.column_stack([xy, surface.height_at(xy)])[good][:1])
     return np.array(found)
 

@@ -147,7 +147,7 @@ def draw_refused(path: Path, scene: Scene, points: FloatArray, ground: BoolArray
         at = np.array(query["at"])
         over = things[:, 2] - at[2]
         shown = things[(over > body.max_step) & (over < body.height) & (np.abs(things[:, :2] - at[:2]) < half).all(1)]
-        for obstacles in space.obstacles:
+        for obstacles in [own.obstacles for own in space.levels]:
             near = (np.abs(obstacles.points[:, :2] - at[:2]) < half).all(1)
             colours = np.array(list(KIND_COLOURS.values()))[obstacles.kind[near]]
             axes.scatter(*obstacles.points[near, :2].T, s=6, c=colours, linewidths=0)

@@ -24,7 +24,7 @@ from gpdf_service.bench.report import Row
 from gpdf_service.pipeline import plan
 from gpdf_service.planning.shape import is_path_clear
 from gpdf_service.scene import Scene
-from gpdf_service.search import is_clear
+from gpdf_service.search.motion import is_clear
 from gpdf_service.types import Agent, FloatArray, Status
 
 SECONDS = 0.99
@@ -47,7 +47,7 @@ def compare(scene: Scene, agent: Agent, pairs: FloatArray) -> list[Row]:
     over their whole length, by the same exact test.
     """
     space = scene.free_space(agent)
-    surface, obstacles = space.surfaces[0], space.trees[0]
+    surface, obstacles = space.levels[0].surface, space.levels[0].places
     low, high = surface.origin, surface.origin + surface.cell_width * np.array(surface.height.shape)
     checks = dict.fromkeys(PEERS, 0)
 
@@ -72,7 +72,9 @@ def compare(scene: Scene, agent: Agent, pairs: FloatArray) -> list[Row]:
     rows = []
     for name, paths in found.items():
         made = [path for path, _ in paths if path is not None]
-        measured = [_measure(space.clearance, path, agent.radius) for i in both if (path := paths[i][0]) is not None]
+        measured = [
+            _measure(space.levels[0].clearance, path, agent.radius) for i in both if (path := paths[i][0]) is not None
+        ]
         mean = {key: float(np.mean([row[key] for row in measured])) for key in (measured[0] if measured else {})}
         seconds, worked, searched = (1e3 * float(np.median([spent[i] for _, spent in paths])) for i in range(3))
         clear = sum(is_path_clear(np.ascontiguousarray(path), obstacles, agent.radius) for path in made)
@@ -95,10 +97,10 @@ def _timed(
 
 
 def _measure(
-    clearance: Callable[[int, FloatArray], tuple[FloatArray, object]], path: FloatArray, radius: float
+    clearance: Callable[[FloatArray], tuple[FloatArray, object]], path: FloatArray, radius: float
 ) -> dict[str, float]:
     """Room [m], length [m] and bends [°] of a path in plan."""
-    room = clearance(0, _along(path, STEP))[0] - radius
+    room = clearance(_along(path, STEP))[0] - radius
     legs = np.diff(_along(path, STRIDE), axis=0)
     bend = np.abs([_turn(a, b) for a, b in pairwise(legs)]) if len(legs) > 1 else np.zeros(1)
     length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())

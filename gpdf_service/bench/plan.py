@@ -173,7 +173,7 @@ def refused_share(scene: Scene, brute: BruteForce, agent: Agent) -> float:
     space, free = scene.free_space(agent), np.zeros(len(xy), dtype=bool)
     for level, surface in enumerate(scene.surfaces):
         stands = np.abs(surface.height_at(xy) - z) < 0.5 * STOREY  # NaN compares false
-        free |= stands & (space.clearance(level, xy)[0] >= space.reach)
+        free |= stands & (space.levels[level].clearance(xy)[0] >= space.reach)
     return float((~free).mean())
 
 
@@ -210,7 +210,7 @@ def random_places(scene: Scene, agent: Agent, count: int, rng: np.random.Generat
         low, size = surface.origin, np.array(surface.height.shape) * surface.cell_width
         xy = rng.uniform(low, low + size, (4096, 2))
         xy = xy[surface.contains(xy)]
-        xy = xy[space.clearance(0, xy)[0] >= agent.disc_radius]
+        xy = xy[space.levels[0].clearance(xy)[0] >= agent.disc_radius]
         found.append(xy)
         if sum(map(len, found)) >= 2 * count:
             break

@@ -98,7 +98,7 @@ def random_queries(scene: Scene, agent: Agent, count: int, rng: np.random.Genera
         cells = cells[rng.integers(len(cells), size=2 * count)]
         center = surface.origin + (cells + 0.5) * surface.cell_width
         z = surface.height[tuple(cells.T)][:, None]
-        fits = space.clearance(level, center)[0] >= agent.disc_radius
+        fits = space.levels[level].clearance(center)[0] >= agent.disc_radius
         standing.append(np.hstack([center, z])[fits])
         anywhere.append(np.hstack([center + rng.uniform(-ASIDE, ASIDE, center.shape), z]))
     free = _one_of(standing, 2 * count, rng)

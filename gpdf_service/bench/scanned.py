@@ -69,9 +69,9 @@ def judge(made: Scene, scene: SyntheticScene) -> Row:
         room = scene.truth.body_clearance(contacts, agent.radius, agent.height, agent.max_step)
         room = np.where(np.isfinite(truth), room, np.nan)
         free = np.zeros(len(xy), dtype=bool)
-        for tree in space.quadtrees:
-            leaf = tree.find(xy)
-            free |= (leaf >= 0) & tree.whole[leaf]
+        for own in space.levels:
+            leaf = own.quadtree.find(xy)
+            free |= (leaf >= 0) & own.quadtree.whole[leaf]
         fits = room >= 0.0  # NaN compares false
         wrong = free & ~fits
         row |= {

@@ -27,7 +27,7 @@ def standing_pairs(scene: Scene, agent: Agent, count: int, rng: np.random.Genera
     space, found = scene.free_space(agent), []
     for level, surface in enumerate(scene.surfaces):
         places = surface.centres(surface.state != UNKNOWN)
-        found.append(places[space.clearance(level, places[:, :2])[0] >= space.reach])
+        found.append(places[space.levels[level].clearance(places[:, :2])[0] >= space.reach])
     places = np.concatenate(found)
     return places[rng.choice(len(places), (count, 2))]
 

@@ -6,11 +6,6 @@ from gpdf_service.fields.gpdf import Gpdf as Gpdf
 from gpdf_service.fields.gpdf import check_queries as check_queries
 from gpdf_service.fields.gpdf import find_nearest as find_nearest
 from gpdf_service.fields.gpdf import fit_gpdf as fit_gpdf
-from gpdf_service.fields.lattice import Lattice as Lattice
-from gpdf_service.fields.lattice import fit_lattice as fit_lattice
-from gpdf_service.fields.lattice import lattice_of as lattice_of
-from gpdf_service.fields.lattice import points_of_lattice as points_of_lattice
-from gpdf_service.fields.lattice import restore_lattice as restore_lattice
 from gpdf_service.fields.nearer import Nearer as Nearer
 from gpdf_service.fields.order import morton as morton
 from gpdf_service.fields.spacing import estimate_spacing as estimate_spacing

@@ -137,11 +137,6 @@ class Gpdf:
         distance[~valid], gradient[~valid], deviation[~valid] = 0.0, 0.0, np.inf
         return FieldSample(distance, gradient, valid, deviation)
 
-    def nearest(self, queries: ArrayLike) -> FloatArray:
-        """Exact distance to the nearest fitted point [m], shape (m,); 0 for a row that is not finite."""
-        asked, finite = self._check(queries)
-        return np.where(finite, find_nearest(self.tree, asked)[0], 0.0)
-
     def replace(self, gone: BoolArray, points: FloatArray) -> Gpdf:
         """The field without the points where `gone`, shape (n,), and with `points`, (k, dim) [m], solved around them.
 

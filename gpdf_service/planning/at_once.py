@@ -13,8 +13,7 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.planning.certificate import Seen, prove
-from gpdf_service.planning.chomp import ChompResult, Stop, Wants, bend
-from gpdf_service.planning.costs import Discs
+from gpdf_service.planning.chomp import Bending, ChompResult, bend
 from gpdf_service.planning.footprint import stand_along
 from gpdf_service.planning.timing import time_along, walk
 from gpdf_service.search.ways import Fields, Here, way_steps
@@ -22,16 +21,6 @@ from gpdf_service.types import FloatArray
 
 MORE_STEPS = 0.05
 """[m] Rise and fall in steps that a bent path may have over its seed's: less than a step, what a diagonal adds."""
-
-
-class Bending(NamedTuple):
-    """How a piece of the path is bent: see `chomp.bend`."""
-
-    discs: Discs
-    wants: Wants
-    spacing: tuple[float, float]
-    looks: float
-    stop: Stop
 
 
 class Pace(NamedTuple):
@@ -69,15 +58,6 @@ class Made(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def bend_on(
-    path: FloatArray, here: Sequence[Here], bent_by: Sequence[Fields], bending: Bending
-) -> tuple[FloatArray, ChompResult]:
-    """`chomp.bend` on a level of a space."""
-    (about, ends, _), (discs, wants, spacing, looks, stop) = here[0], bending
-    return bend(path, about.ground, ends, bent_by[0], discs, wants, spacing, looks, stop)
-
-
-@njit(cache=True, nogil=True)
 def go_at_once(
     path: FloatArray,
     here: Sequence[Here],
@@ -94,19 +74,18 @@ def go_at_once(
         bending: How it is bent.
         pace: How fast it is followed.
     """
-    about = here[0].about
     discs, spacing, height = bending.discs, bending.spacing, bending.wants.height
-    bent, run = bend_on(path, here, bent_by, bending)
+    bent, run = bend(path, here, bent_by, bending)
     is_bent = len(run.xi) > 0
     if len(bent) == 0 or not is_bent:
         bent = path
-    stepped, high = way_steps(bent, about)
+    stepped, high = way_steps(bent, here)
     if stepped > 0.0:
-        most, highest = way_steps(path, about)
+        most, highest = way_steps(path, here)
         if stepped > most + MORE_STEPS or high > highest + MORE_STEPS:
             bent, is_bent = path, False
     contact, top, headings = stand_along(bent, 0.0, spacing[1], here, bent_by, height)
-    body = discs.offsets, about.reach, pace.radius, height
+    body = discs.offsets, here[0].about.reach, pace.radius, height
     seen = prove(here, bent_by, contact, top, headings, body)
     share, takes, times = np.ones(len(contact)), np.zeros(6), np.zeros(len(contact))
     if not seen.unknown:  # what stands nowhere takes no time

@@ -24,7 +24,7 @@ from gpdf_service.kernel_cache import lean
 from gpdf_service.planning.footprint import travel_headings
 from gpdf_service.planning.shape import runs
 from gpdf_service.planning.words import measure, place_words
-from gpdf_service.search import FreeSpace
+from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.motion import least_distance
 from gpdf_service.search.ways import Fields, Here, fields_of, here
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, Cells, cell_of, count_in, is_known
@@ -64,7 +64,7 @@ def min_distance(
     poses[:, :2] = path
     if headings is not None:
         poses[:, 2] = headings
-    return least_distance(space.trees[level], poses, offsets, resolution)
+    return least_distance(space.levels[level].places, poses, offsets, resolution)
 
 
 def certify(

@@ -9,11 +9,11 @@ promises to win the tolerance, none is looked for.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from gpdf_service.kernel_cache import lean
 from gpdf_service.planning.costs import (
@@ -25,9 +25,8 @@ from gpdf_service.planning.costs import (
     obstacle_cost,
     smoothness_cost,
 )
-from gpdf_service.planning.shape import is_level, lengths, rounded, waypoints
-from gpdf_service.search.ways import Fields
-from gpdf_service.tiles.surface import Cells
+from gpdf_service.planning.shape import distinct, is_level, lengths, spline, waypoints
+from gpdf_service.search.ways import Fields, Here
 from gpdf_service.types import FloatArray
 
 _DESCENT = 1e-4
@@ -63,6 +62,24 @@ class Stop(NamedTuple):
     tolerance: float
 
 
+class Bending(NamedTuple):
+    """How a piece of the path is bent.
+
+    Attributes:
+        discs: Of the body.
+        wants: What is asked of the path.
+        spacing: Of the waypoints, and of the places of the path that is made [m].
+        looks: At how many waypoints there is time to look.
+        stop: When it is good enough.
+    """
+
+    discs: Discs
+    wants: Wants
+    spacing: tuple[float, float]
+    looks: float
+    stop: Stop
+
+
 class ChompResult(NamedTuple):
     """Waypoints (n, 3) [m], cost before and after each accepted step, evaluations of it, whether it came to rest."""
 
@@ -94,40 +111,30 @@ def optimize(
 
 @njit(cache=True, nogil=True)
 def bend(
-    path: FloatArray,
-    ground: Cells,
-    ends: NDArray[np.float32],
-    fields: Fields,
-    discs: Discs,
-    wants: Wants,
-    spacing: tuple[float, float],
-    looks: float,
-    stop: Stop,
+    path: FloatArray, here: Sequence[Here], bent_by: Sequence[Fields], bending: Bending
 ) -> tuple[FloatArray, ChompResult]:
-    """`optimize` waypoints over a path in plan, (n, 2), and the `spline` through them.
+    """`optimize` waypoints over a path in plan, (n, 2), and the `spline` through what is distinct of them.
+
+    Over level ground the ground's field is not asked.
 
     Args:
         path: Its ends stay [m].
-        ground: Under it.
-        ends: `HeightMap.ends` of it: over level ground the field is not asked.
-        fields: What it is bent by.
-        discs: Of the body.
-        wants: What is asked of it.
-        spacing: Of the waypoints, and of the places of the path that is made [m].
-        looks: At how many waypoints there is time to look.
-        stop: When it is good enough.
+        here: Its level.
+        bent_by: The fields.
+        bending: How it is bent.
 
     Returns:
         The path, (k, 2), without places if there is no time for a step; no waypoints where nothing moves, or ground is
         unknown.
     """
-    xi = waypoints(path, spacing[0], ground, wants.height)
+    (about, ends, _), (discs, wants, spacing, looks, stop) = here[0], bending
+    xi = waypoints(path, spacing[0], about.ground, wants.height)
     steps = int(min(float(stop.max_iterations), looks / max(len(xi), 1)))
     if len(xi) == 0 or steps < 1:
         return path[:0].copy(), ChompResult(xi, np.zeros(1), 0, False)
-    level = is_level(xi, ground, ends, wants.height)
-    found = optimize(xi, fields, discs, wants, Stop(steps, stop.tolerance), level)
-    return rounded(xi, spacing[1]), found
+    level = is_level(xi, about.ground, ends, wants.height)
+    found = optimize(xi, bent_by[0], discs, wants, Stop(steps, stop.tolerance), level)
+    return spline(distinct(np.ascontiguousarray(xi[:, :2])), spacing[1]), found
 
 
 @lean()

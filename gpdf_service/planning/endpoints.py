@@ -17,10 +17,10 @@ from gpdf_service.planning.certificate import FINEST
 from gpdf_service.planning.footprint import disc_places
 from gpdf_service.planning.shape import radius_within
 from gpdf_service.planning.words import measure, metres, place_words
-from gpdf_service.search import FreeSpace
+from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.motion import is_straight_clear
 from gpdf_service.search.nearest import nearest_free
-from gpdf_service.search.places import Places, nearest_to
+from gpdf_service.search.places import Places
 from gpdf_service.tiles.surface import UNKNOWN, height_of, is_same_ground
 from gpdf_service.types import FloatArray, PlanOptions, Status
 
@@ -139,13 +139,13 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
     xy = place[:2]
     heights: dict[int, float] = {}
     for level in _maps_over(space, xy):
-        z = float(height_of(space.surfaces[level].arrays, *xy.tolist()))
+        z = float(height_of(space.levels[level].surface.arrays, *xy.tolist()))
         if not isnan(z):
             heights[level] = z
     if not heights:
         near = nearest_free(space, place, SAME_GROUND)
         hint = "" if near is None else f" The nearest free place is {place_words(near)}."
-        if any(_shut_in(space, level, xy[None]) for level in range(len(space.surfaces))):
+        if any(_shut_in(space, level, xy[None]) for level in range(len(space.levels))):
             words = f"the {name} {place_words(place)} is inside something, or on ground that nobody has seen."
             return Refusal(occupied, words + hint, near)
         words = f"no ground is known at the {name} {place_words(place)}. Choose a place on the mapped ground."
@@ -161,17 +161,17 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
     elif max(heights.values()) - min(heights.values()) > SAME_GROUND:
         words = f"there is ground at z = {_heights_words(heights)} m under the {name} {place_words(place)}. Give its z."
         return Refusal(Status.AMBIGUOUS_LEVEL, words)
-    width = space.surfaces[level].cell_width
+    width = space.levels[level].surface.cell_width
     same = [one for one, z in heights.items() if one == level or is_same_ground(z, heights[level], width)]
     if len(same) == 1 and space.agent.discs == 1:  # else the room decides, on the level or which way it faces
-        leaf = space.quadtrees[level].find_one(xy)
-        if leaf >= 0 and space.quadtrees[level].whole[leaf]:
-            return Endpoint(xy, level, leaf + space.offsets[level], heights[level])
-    rooms = {one: nearest_to(space.trees[one], xy) for one in same}
+        node = space.levels[level].node_at(xy)
+        if node >= 0:
+            return Endpoint(xy, level, node, heights[level])
+    rooms = {one: space.levels[one].room(xy) for one in same}
     level = max(same, key=lambda one: rooms[one][0])  # sheets end where others go on
-    room, row = rooms[level]
+    room, kind = rooms[level]
     if room < space.reach + FINEST:  # less cannot be proven of a way that ends there
-        what = REASONS[ObstacleKind(space.kind_of(level, row))]
+        what = REASONS[ObstacleKind(kind)]
         near = nearest_free(space, np.array([*xy, heights[level]]), SAME_GROUND)
         hint = "" if near is None else f" The nearest free place is {place_words(near)}."
         radius, margin = space.agent.disc_radius, space.reach - space.agent.disc_radius
@@ -215,17 +215,17 @@ def _faces_somewhere(space: FreeSpace, level: int, xy: FloatArray, room: float) 
         return True
     heading = np.linspace(0.0, np.pi, FACINGS, endpoint=False)
     poses = np.column_stack([np.tile(xy, (FACINGS, 1)), heading])
-    fits = [space.clearance(level, disc_places(poses, offset))[0] >= space.reach for offset in agent.offsets]
+    fits = [space.levels[level].clearance(disc_places(poses, offset))[0] >= space.reach for offset in agent.offsets]
     return bool(np.logical_and.reduce(fits).any())
 
 
 def _shut_in(space: FreeSpace, level: int, xy: FloatArray) -> bool:
     """Whether a place without known ground is within reach of material, or in a hole that known ground surrounds."""
-    surface = space.surfaces[level]
+    surface = space.levels[level].surface
     ix, iy, inside = surface.cells(xy)
     if not inside[0]:
         return False
-    distance, kind = space.clearance(level, xy)
+    distance, kind = space.levels[level].clearance(xy)
     if kind[0] == ObstacleKind.MATERIAL and distance[0] < space.reach:
         return True
     label = ndimage.label(surface.state == UNKNOWN)[0]
@@ -238,31 +238,27 @@ def radius_at(space: FreeSpace, room: float) -> float:
     return float(radius_within(room, space.reach, space.radius))
 
 
-def connect(space: FreeSpace, level: int, xy: FloatArray, room: float) -> int:
-    """The graph node of a free leaf whose centre is reached on a clear line from `xy`, with `room` [m]; -1 if none."""
-    tree = space.quadtrees[level]
-    leaf = tree.find_one(xy)
-    if leaf >= 0 and tree.whole[leaf]:
-        return leaf + space.offsets[level]
+def connect(space: FreeSpace, level: int, xy: FloatArray, room: float | None = None) -> int:
+    """The graph node of a free leaf whose centre is reached on a clear line from `xy`; -1 if none, or no body fits.
+
+    How much `room` there is [m] is only asked, where it is not given, in a leaf that is not wholly free.
+    """
+    own = space.levels[level]
+    tree, node = own.quadtree, own.node_at(xy)
+    if node >= 0:
+        return node
+    room = own.room(xy)[0] if room is None else room
+    if room < space.reach:
+        return -1
     for reach in (0.1 * NEXT, NEXT):  # most go on from a leaf beside them, and there are many further away
         free = tree.within(xy, reach)
         free = free[tree.free[free]]
         half = np.asarray(0.5 * tree.width * tree.size[free], dtype=np.float64)
         center = tree.origin + tree.corner[free] * tree.width + half[:, None]
-        row = _nearest_clear(space.trees[level], xy, center, half, radius_at(space, room))
+        row = _nearest_clear(own.places, xy, center, half, radius_at(space, room))
         if row >= 0:
-            return int(free[row]) + space.offsets[level]
+            return int(free[row]) + own.offset
     return -1
-
-
-def connect_at(space: FreeSpace, level: int, xy: FloatArray) -> int:
-    """`connect` wherever the body fits; in a leaf that is wholly free no room is asked for."""
-    tree = space.quadtrees[level]
-    leaf = tree.find_one(xy)
-    if leaf >= 0 and tree.whole[leaf]:
-        return leaf + space.offsets[level]
-    room = space.room(level, xy)[0]
-    return connect(space, level, xy, room) if room >= space.reach else -1
 
 
 @njit(cache=True, nogil=True)

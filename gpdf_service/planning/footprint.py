@@ -81,7 +81,7 @@ def stand_along(
     fields: Sequence[Fields],
     height: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Contact points and tops, (n, 3), of who goes along a path, see `stand_up`, and where he faces (n,).
+    """Contact points and tops, (n, 3), of who goes along a path, see `stand_on`, and where he faces (n,).
 
     Places to which he does not move or turn from the one before are left out; two of them stay, the ends.
     """

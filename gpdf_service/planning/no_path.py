@@ -28,7 +28,7 @@ from gpdf_service.kernel_cache import lean
 from gpdf_service.planning.certificate import min_distance
 from gpdf_service.planning.endpoints import Endpoint
 from gpdf_service.planning.words import measure, place_words
-from gpdf_service.search import FreeSpace
+from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.places import nearest_places
 from gpdf_service.tiles import HeightMap
 from gpdf_service.tiles.nearest import nearest_of
@@ -181,13 +181,12 @@ def _kept(space: FreeSpace) -> float:
 
     In a passage that goes askew to them that is half of a leaf's diagonal.
     """
-    return space.radius - space.reach + max(tree.width for tree in space.quadtrees) / sqrt(2.0)
+    return space.radius - space.reach + max(own.quadtree.width for own in space.levels) / sqrt(2.0)
 
 
 def _no_time(space: FreeSpace, start: Endpoint) -> NoPath:
-    at = np.append(start.xy, space.surfaces[start.level].height_at(start.xy[None]))
     words = f"the {space.agent.name} cannot get there; the deadline left no time to say why. Allow more."
-    return NoPath(words, (), at, 0.0)
+    return NoPath(words, (), np.append(start.xy, start.floor), 0.0)
 
 
 def _narrow_words(at: FloatArray, width: float, radius: float, margin: float) -> str:
@@ -212,9 +211,8 @@ def _together(space: FreeSpace, grid: _Grid, ends: tuple[IntArray, IntArray], st
 def _tell(space: FreeSpace, start: Endpoint, found: list[_Found], largest: float, *, together: bool) -> NoPath:
     name = space.agent.name
     if not found:
-        at = np.append(start.xy, space.surfaces[start.level].height_at(start.xy[None]))
         words = f"the {name} cannot get there: the ground of the start and that of the goal meet nowhere on the map."
-        return NoPath(f"{words} Map what lies between them.", (), at, 0.0)
+        return NoPath(f"{words} Map what lies between them.", (), np.append(start.xy, start.floor), 0.0)
     hint = (
         f"The largest body that passes has a radius of {measure(largest)} m." if largest else "No narrower body passes."
     )
@@ -230,7 +228,7 @@ def _tell(space: FreeSpace, start: Endpoint, found: list[_Found], largest: float
 
 def _lay_grid(space: FreeSpace, start: Endpoint, goal: Endpoint, hidden: float = 0.0) -> _Grid:
     """The ground around start and goal, of the levels that have some there."""
-    first, ends = space.surfaces[0], np.stack([start.xy, goal.xy])
+    first, ends = space.levels[0].surface, np.stack([start.xy, goal.xy])
     least = np.min([one.origin for one in space.surfaces], axis=0)
     most = np.max([one.origin + one.cell_width * np.array(one.state.shape) for one in space.surfaces], axis=0)
     for margin in MARGINS:
@@ -242,26 +240,16 @@ def _lay_grid(space: FreeSpace, start: Endpoint, goal: Endpoint, hidden: float =
             break
     share = max(CELL / first.cell_width, np.sqrt(cells / MAX_CELLS))
     width = first.cell_width * np.ceil(share) if share > 1.0 else first.cell_width / np.floor(1.0 / share)
-    height = np.stack([_heights(space.surfaces[n], low, high, width) for n in level])
+    height = np.stack([_heights(space.levels[n].surface, low, high, width) for n in level])
     told = [_told(space, n, low, high, hidden) for n in level]
     distance = np.full((len(Cut), *height.shape), np.inf)
     for own, (points, cut, _) in zip(distance.swapaxes(0, 1), told, strict=True):
-        marks = _mark(points, cut, low, width, own.shape)
+        marks, last = np.zeros(own.shape, np.bool_), np.array(own.shape[1:]) - 1.0
+        cells = np.clip((points[:, :2] - low) / width, 0.0, last)  # those beyond the grid count on its rim
+        marks[cut, *cells.astype(np.int64).T] = True
         for kind in np.flatnonzero(marks.any(axis=(1, 2))):
             own[kind] = width * nearest_of(marks[kind])[0]
     return _Grid(low, width, level, height, distance, told)
-
-
-@njit(cache=True, nogil=True)
-def _mark(
-    points: FloatArray, cut: NDArray[np.uint8], low: FloatArray, width: float, shape: tuple[int, int, int]
-) -> BoolArray:
-    """The cells that hold obstacles of each `Cut`; those beyond the grid count on its rim."""
-    marks = np.zeros(shape, np.bool_)
-    for i in range(len(points)):
-        u, v = (points[i, 0] - low[0]) / width, (points[i, 1] - low[1]) / width
-        marks[cut[i], int(min(max(u, 0.0), shape[1] - 1.0)), int(min(max(v, 0.0), shape[2] - 1.0))] = True
-    return marks
 
 
 def _is_known(surface: HeightMap, low: FloatArray, high: FloatArray) -> bool:
@@ -283,10 +271,10 @@ def _heights(surface: HeightMap, low: FloatArray, high: FloatArray, width: float
 
 def _told(space: FreeSpace, level: int, low: FloatArray, high: FloatArray, hidden: float) -> _Told:
     """What is told of the obstacle points of a level that are within reach of a grid from `low` to `high` [m]."""
-    surface, agent, box = space.surfaces[level], space.agent, np.stack([low - space.reach, high + space.reach])
-    room = max(LOWEST_BODY, least_headroom(surface, hidden)), agent.height, agent.cylinder.radius
-    own = surface.arrays, (space.steps[level], space.slopes[level]), agent.max_step, room
-    found = [_tell_points(one.points, one.kind, box, *own) for one in (space.standing[level], space.moving[level])]
+    own, agent, box = space.levels[level], space.agent, np.stack([low - space.reach, high + space.reach])
+    room = max(LOWEST_BODY, least_headroom(own.surface, hidden)), agent.height, agent.cylinder.radius
+    ground = own.surface.arrays, (own.steps, own.slopes), agent.max_step, room
+    found = [_tell_points(one.points, one.kind, box, *ground) for one in (own.standing, own.moving)]
     return _Told(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
@@ -341,18 +329,10 @@ def _highest(ground: Cells, u: int, v: int, reach: int) -> float:
     return top
 
 
-def _opened(grid: _Grid, cuts: tuple[Cut, ...]) -> tuple[FloatArray, BoolArray]:
-    """Distance to what is left when `cuts` are lifted, and where a centre may be."""
-    left = [kind for kind in Cut if kind not in cuts]
-    distance = grid.nearest
-    if cuts:
-        distance = grid.distance[left].min(axis=0, initial=np.inf)
-    return distance, grid.guessed if Cut.UNKNOWN in cuts else grid.known
-
-
 def _lift(grid: _Grid, ends: tuple[IntArray, IntArray], cuts: tuple[Cut, ...], radius: float) -> IntArray:
     """The way, cells (k, 3), when `cuts` stop nobody; empty where there is none."""
-    distance, known = _opened(grid, cuts)
+    distance = grid.distance[[kind for kind in Cut if kind not in cuts]].min(axis=0, initial=np.inf)
+    known = grid.guessed if Cut.UNKNOWN in cuts else grid.known
     if not _floods(_allow(distance >= radius, known, ends), grid.height, *ends):
         return np.zeros((0, 3), np.int64)
     return _way(grid, ends, distance, radius, known)
@@ -360,14 +340,16 @@ def _lift(grid: _Grid, ends: tuple[IntArray, IntArray], cuts: tuple[Cut, ...], r
 
 def _widest(grid: _Grid, ends: tuple[IntArray, IntArray], radius: float) -> float:
     """Largest radius up to the body's own that has a way [m], to half a cell; 0 if none of `LEAST_RADIUS` has."""
-    distance, known = _opened(grid, ())
+
+    def passes(wide: float) -> bool:
+        return bool(_floods(_allow(grid.nearest >= wide, grid.known, ends), grid.height, *ends))
+
     low, high = LEAST_RADIUS, radius
-    if not _floods(_allow(distance >= low, known, ends), grid.height, *ends):
+    if not passes(low):
         return 0.0
     while high - low > 0.5 * grid.width:
         middle = 0.5 * (low + high)
-        passes = _floods(_allow(distance >= middle, known, ends), grid.height, *ends)
-        low, high = (middle, high) if passes else (low, middle)
+        low, high = (middle, high) if passes(middle) else (low, middle)
     return low
 
 
@@ -401,7 +383,7 @@ def _exact_width(space: FreeSpace, grid: _Grid, path: IntArray) -> tuple[float, 
     half = len(proven) // 2
     proven = [max(pair, key=lambda one: one[0]) for pair in zip(proven[:half], proven[half:], strict=True)]
     least, at, level = min(proven, key=lambda one: one[0])
-    return least, np.append(at, space.surfaces[level].height_at(at[None]))
+    return least, np.append(at, space.levels[level].surface.height_at(at[None]))
 
 
 def _to_middle(space: FreeSpace, level: int, way: FloatArray, width: float) -> FloatArray:
@@ -409,7 +391,7 @@ def _to_middle(space: FreeSpace, level: int, way: FloatArray, width: float) -> F
     ahead = np.gradient(ndimage.gaussian_filter1d(way, 2.0, axis=0, mode="nearest"), axis=0)
     aside = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1) / np.maximum(np.linalg.norm(ahead, axis=1), 1e-9)[:, None]
     tried = way[:, None] + 2.0 * width * np.linspace(-1.0, 1.0, ASIDE)[None, :, None] * aside[:, None]
-    room = nearest_places(space.trees[level], tried.reshape(-1, 2))[0]
+    room = nearest_places(space.levels[level].places, tried.reshape(-1, 2))[0]
     moved: FloatArray = tried[np.arange(len(way)), room.reshape(len(way), ASIDE).argmax(axis=1)]
     moved[0], moved[-1] = way[0], way[-1]
     return moved
@@ -425,8 +407,9 @@ def _reached(space: FreeSpace, grid: _Grid, path: IntArray, start: Endpoint) -> 
     component, xy = space.graph.component, grid.centers(path)
     reached = np.zeros(len(path), dtype=bool)
     for n, level in enumerate(grid.level):
-        leaf = space.quadtrees[level].find(xy)
-        mine = component[np.maximum(leaf, 0) + space.offsets[level]] == component[start.node]
+        own = space.levels[level]
+        leaf = own.quadtree.find(xy)
+        mine = component[np.maximum(leaf, 0) + own.offset] == component[start.node]
         reached |= (path[:, 0] == n) & (leaf >= 0) & mine
     return reached
 
@@ -444,7 +427,7 @@ def _met(space: FreeSpace, grid: _Grid, path: IntArray, cut: Cut, start: Endpoin
     beside = cKDTree(xy[path[:, 0] == path[shut[0], 0]])  # of cells that are open, too: the grid is coarse
     near = np.isfinite(beside.query(points[:, :2], distance_upper_bound=space.reach + _kept(space))[0])
     worst = float(asks[near].max(initial=asks[first]))
-    surface = space.surfaces[grid.level[path[shut[0], 0]]]
+    surface = space.levels[grid.level[path[shut[0], 0]]].surface
     at = np.append(points[first, :2], surface.height_at(points[first, None, :2]))
     limit = {Cut.HEIGHT: -agent.height, Cut.STEP: agent.max_step, Cut.SLOPE: agent.max_slope}
     return at, _cut_words(agent, cut, worst, place_words(at)), worst - limit[cut] if cut in limit else 0.0

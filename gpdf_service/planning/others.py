@@ -9,13 +9,13 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
+from gpdf_service.fields.tree import make_scratch
 from gpdf_service.planning.endpoints import Ends
 from gpdf_service.planning.routes import Leg, Route, Wish, avoiding, find_cheapest, pull_all, way_takes_of
-from gpdf_service.planning.shape import is_joined, resample
-from gpdf_service.search import FreeSpace, Prefer, Ways, prices
-from gpdf_service.search.motion import CENTRE
+from gpdf_service.planning.shape import is_straight, resample
+from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.steps import NOTICED_STEP
-from gpdf_service.search.ways import STEPPED
+from gpdf_service.search.ways import STEPPED, Prefer, Ways, prices
 from gpdf_service.types import FloatArray
 
 TRIES = 8
@@ -84,11 +84,11 @@ def _is_same(space: FreeSpace, one: Route, other: Route) -> bool:
     if abs(stepped[0] - stepped[1]) > NOTICED_STEP:
         return False
     ours, theirs = _places(space, one), _places(space, other)
-    nearest = cKDTree(theirs[:, :2]).query(ours[:, :2])[1]
+    nearest, scratch = cKDTree(theirs[:, :2]).query(ours[:, :2])[1], make_scratch()
     for here, there in zip(ours, theirs[nearest], strict=True):
-        level = int(here[3])
-        parts = space.trees[level], BETWEEN, CENTRE, space.surfaces[level].arrays
-        if abs(here[2] - there[2]) > STOREY or not is_joined(here[:2], there[:2], *parts):
+        own = space.levels[int(here[3])]
+        parts = own.places, BETWEEN, own.surface.arrays, scratch
+        if abs(here[2] - there[2]) > STOREY or not is_straight(here[:2], there[:2], *parts):
             return False
     return True
 
@@ -98,5 +98,5 @@ def _places(space: FreeSpace, route: Route) -> FloatArray:
     made = []
     for leg in route.legs:
         xy = resample(_plan(leg.path), STRIDE)
-        made.append(np.column_stack([xy, space.surfaces[leg.level].height_at(xy), np.full(len(xy), leg.level)]))
+        made.append(np.column_stack([xy, space.levels[leg.level].surface.height_at(xy), np.full(len(xy), leg.level)]))
     return np.concatenate(made)

@@ -15,22 +15,22 @@ from typing import NamedTuple
 import numpy as np
 
 from gpdf_service.config import PlanningConfig
-from gpdf_service.planning.at_once import MORE_STEPS, Bending, Pace, bend_on, go_at_once
+from gpdf_service.planning.at_once import MORE_STEPS, Pace, go_at_once
 from gpdf_service.planning.certificate import certify, judge
-from gpdf_service.planning.chomp import ChompResult, Stop, Wants
+from gpdf_service.planning.chomp import Bending, ChompResult, Stop, Wants, bend
 from gpdf_service.planning.costs import Discs
 from gpdf_service.planning.endpoints import Ends, Refusal, find_ends
 from gpdf_service.planning.footprint import moving, stand_along
 from gpdf_service.planning.no_path import explain_no_path
 from gpdf_service.planning.others import find_others
 from gpdf_service.planning.portals import Bent, Meet, bend_over, pull_over
-from gpdf_service.planning.routes import Leg, Route, Wish, find_cut, find_rival, find_routes, steps_of, take_up
+from gpdf_service.planning.routes import Leg, Route, Wish, find_cut, find_rival, find_routes, is_as_level, take_up
 from gpdf_service.planning.shape import lengths
 from gpdf_service.planning.timing import speed_limit
 from gpdf_service.planning.turning import Facing, Stuck, time_poses, turn_route
-from gpdf_service.search import FreeSpace, Prefer, Ways, prices
+from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.steps import count_steps
-from gpdf_service.search.ways import STEPPED, WIDE, fields_of, here
+from gpdf_service.search.ways import STEPPED, WIDE, Prefer, Ways, fields_of, here, prices
 from gpdf_service.types import Agent, Certificate, FloatArray, IntArray, PlanOptions, PlanResult, Status, Trajectory
 
 Clock = Callable[[], float]
@@ -304,13 +304,13 @@ def _tries(task: _Task, legs: list[Leg]) -> Iterator[list[Bent]]:
 
     def alone(pieces: list[Leg], *, strict: bool) -> list[Bent]:
         made = [(leg, _bend(leg, config, strict, task.left())) for leg in pieces]
-        return [bent if _as_level([leg], bent) else (leg, None) for leg, bent in made]
+        return [bent if is_as_level([bent[0]], [leg], MORE_STEPS) else (leg, None) for leg, bent in made]
 
     def together(pieces: list[Leg]) -> list[Bent]:
         if len(pieces) > 1:
             joined = Leg(pieces[0].level, np.concatenate([leg.path for leg in pieces]), task.space)
             one = _bend(joined, config, False, task.left())
-            if _as_level(pieces, one):
+            if is_as_level([one[0]], pieces, MORE_STEPS):
                 return [one]
         return alone(pieces, strict=False)
 
@@ -340,12 +340,6 @@ def _is_free(leg: Leg, via: list[FloatArray]) -> bool:
     return not any(np.array_equal(leg.path[0, :2], place) for place in via)
 
 
-def _as_level(pieces: list[Leg], bent: Bent) -> bool:
-    """Whether a bent path takes no more steps than the pieces of its seed did."""
-    taken = steps_of([bent[0]])
-    return not taken.any() or bool((taken <= steps_of(pieces) + MORE_STEPS).all())
-
-
 def _beside_each_other(legs: list[Leg], via: list[FloatArray]) -> list[list[Leg]]:
     """Pieces that go on from each other on one level, on level ground and on steps, without a via point between them.
 
@@ -364,7 +358,7 @@ def _bend(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> Ben
     """A piece of the path after CHOMP; as it was where nothing moves, no time is left, or ground is not known."""
     level, path, space = leg
     bending = _bending(leg, config, strict, seconds)
-    bent, found = bend_on(path, here(space, level), fields_of(space, level, exact=strict), bending)
+    bent, found = bend(path, here(space, level), fields_of(space, level, exact=strict), bending)
     if len(found.xi) == 0:
         return leg, None
     return (leg if len(bent) == 0 else leg._replace(path=bent)), found

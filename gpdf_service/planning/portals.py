@@ -12,14 +12,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numba import njit
 
-from gpdf_service.fields.tree import Scratch, make_scratch
-from gpdf_service.kernel_cache import lean
+from gpdf_service.fields.tree import make_scratch
 from gpdf_service.planning.chomp import ChompResult
-from gpdf_service.planning.routes import Leg
+from gpdf_service.planning.routes import Leg, is_as_level
 from gpdf_service.planning.shape import distinct, is_straight, subdivide
-from gpdf_service.search.places import Places
-from gpdf_service.search.ways import Here, here, way_steps
-from gpdf_service.tiles.surface import Cells, height_of
+from gpdf_service.search.ways import Here, here
+from gpdf_service.tiles.surface import height_of
 from gpdf_service.types import FloatArray
 
 Bent = tuple[Leg, ChompResult | None]
@@ -94,110 +92,65 @@ def _straight_over(one: Leg, other: Leg, spacing: float) -> list[Leg]:
 
     Nothing if that is not clear, or takes more steps.
     """
-    space = one.space
-    grounds = here(space, one.level), here(space, other.level), here(other.space, other.level)
-    paths = _pass_over(one.path, other.path, *grounds, (spacing, space.radius))
-    return [leg._replace(path=path) for leg, path in zip((one, other), paths, strict=True) if len(path)]
-
-
-@njit(cache=True, nogil=True)
-def _pass_over(
-    path: FloatArray,
-    after: FloatArray,
-    here: Sequence[Here],
-    there: Sequence[Here],
-    beyond: Sequence[Here],
-    measures: tuple[float, float],
-) -> tuple[FloatArray, FloatArray]:
-    """See `_straight_over`; no places if there is no such line.
-
-    Both levels are given as the first piece's space has them, and the second one as its own space sees steps there: box
-    by box, for Numba takes long to tell what a tuple of boxes is. The measures are spacing and radius [m].
-    """
-    one, other, steps, (spacing, radius) = here[0].about, there[0].about, beyond[0].about, measures
-    line = np.empty((2, 2))
-    line[0], line[1] = path[-2], after[1]
-    line = subdivide(line, spacing)
-    at = _crossing(line, one.ground, other.ground, one.places, other.places, radius)
+    space, line = one.space, subdivide(np.stack([one.path[-2], other.path[1]]), spacing)
+    at = _crossing(line, here(space, one.level), here(space, other.level), space.radius)
     if at < 0:
-        return path[:0], after[:0]
-    straight, rest = path.copy(), after.copy()
-    straight[-1], rest[0] = line[at], line[at]
-    for k in range(2):
-        taken = way_steps(straight, one)[k] + way_steps(rest, steps)[k]
-        if taken > way_steps(path, one)[k] + way_steps(after, steps)[k] + SAME_GROUND:
-            return path[:0], after[:0]
-    return straight, rest
+        return []
+    straight, rest = one.path.copy(), other.path.copy()
+    straight[-1] = rest[0] = line[at]
+    legs = [one._replace(path=straight), other._replace(path=rest)]
+    return legs if is_as_level(legs, [one, other], SAME_GROUND) else []
 
 
 @njit(cache=True, nogil=True)
-def _crossing(line: FloatArray, ground: Cells, other: Cells, obstacles: Places, beyond: Places, radius: float) -> int:
-    """The row in the middle of those to which a straight way is clear on one ground, and from which it is on the other.
+def _crossing(line: FloatArray, own: Sequence[Here], other: Sequence[Here], radius: float) -> int:
+    """The row in the middle of those to which a straight way is clear on one level, and from which it is on the other.
 
     It is none of the ends; -1 where there is none, or the grounds differ there.
     """
-    last, first, scratch = 0, len(line) - 1, make_scratch()
-    while last < len(line) - 1 and is_straight(line[last], line[last + 1], obstacles, radius, ground, scratch):
+    one, beyond, last, first, scratch = own[0].about, other[0].about, 0, len(line) - 1, make_scratch()
+    places, ground, places_beyond, ground_beyond = one.places, one.ground, beyond.places, beyond.ground
+    while last < len(line) - 1 and is_straight(line[last], line[last + 1], places, radius, ground, scratch):
         last += 1
-    while first > 0 and is_straight(line[first - 1], line[first], beyond, radius, other, scratch):
+    while first > 0 and is_straight(line[first - 1], line[first], places_beyond, radius, ground_beyond, scratch):
         first -= 1
     row = (max(first, 1) + min(last, len(line) - 2)) // 2
     if not (first <= row <= last and 0 < row < len(line) - 1):
         return -1
     x, y = line[row, 0], line[row, 1]
-    return row if abs(height_of(ground, x, y) - height_of(other, x, y)) <= SAME_GROUND else -1
+    return row if abs(height_of(ground, x, y) - height_of(ground_beyond, x, y)) <= SAME_GROUND else -1
 
 
 def _go_on(leg: Leg, after: Leg, spacing: float) -> tuple[Leg, Leg]:
     """A piece that goes on into the next one as far as its level holds the ground there, and that from there on."""
-    space = after.space
-    own, other = here(space, after.level), here(space, leg.level)
-    long, rest = _longer(leg.path, after.path, own, other, spacing, space.radius)
-    return leg._replace(path=long), after._replace(path=rest)
-
-
-@njit(cache=True, nogil=True)
-def _longer(
-    path: FloatArray, after: FloatArray, own: Sequence[Here], other: Sequence[Here], spacing: float, radius: float
-) -> tuple[FloatArray, FloatArray]:
-    """See `_go_on`: the next piece is on its `own` level, the one that goes on is on the `other` one."""
-    ahead = subdivide(after, spacing)
-    last = max(min(_count_held(ahead, own, other, radius), len(ahead) - 1) - 1, 0)
-    return distinct(np.concatenate((path, ahead[1 : last + 1]))), ahead[last:]
+    ahead = subdivide(after.path, spacing)
+    last = max(min(_count_held(ahead, after, leg.level), len(ahead) - 1) - 1, 0)
+    long = distinct(np.concatenate([leg.path, ahead[1 : last + 1]]))
+    return leg._replace(path=long), after._replace(path=ahead[last:])
 
 
 def _part(bent: Bent, after: Leg) -> tuple[Bent, Leg]:
     """A bent piece up to the middle of its end that both levels hold, and the next one with its rest before it."""
-    leg, run = bent
-    space = leg.space
-    path, rest = _cut(leg.path, after.path, here(space, leg.level), here(space, after.level), space.radius)
-    return (leg._replace(path=path), run), after._replace(path=rest)
+    (leg, run), path = bent, bent[0].path
+    held = _count_held(np.ascontiguousarray(path[::-1]), leg, after.level)
+    cut = len(path) - 1 - max(held - 1, 0) // 2
+    rest = distinct(np.concatenate([path[cut:], after.path[1:]]))
+    return (leg._replace(path=path[: cut + 1]), run), after._replace(path=rest)
 
 
-@njit(cache=True, nogil=True)
-def _cut(
-    path: FloatArray, after: FloatArray, own: Sequence[Here], other: Sequence[Here], radius: float
-) -> tuple[FloatArray, FloatArray]:
-    """See `_part`: the bent piece is on its `own` level, the next one is on the `other` one."""
-    back = np.ascontiguousarray(path[::-1])
-    cut = len(path) - 1 - max(_count_held(back, own, other, radius) - 1, 0) // 2
-    return path[: cut + 1], distinct(np.concatenate((path[cut:], after[1:])))
-
-
-@njit(cache=True, nogil=True)
-def _count_held(path: FloatArray, own: Sequence[Here], other: Sequence[Here], radius: float) -> int:
-    """How many rows of a path (n, 2) on its `own` level, from the first one on, the `other` one holds, too.
+def _count_held(path: FloatArray, leg: Leg, level: int) -> int:
+    """How many rows of a path (n, 2) on the level of a piece, from the first one on, another `level` holds, too.
 
     The ground is known there and as high, and the way from row to row is clear by the body's radius.
     """
-    beyond = other[0].about
-    return _count_on_both(path, own[0].about.ground, beyond.ground, beyond.places, radius, make_scratch())
+    held: int = _count_on_both(path, here(leg.space, leg.level), here(leg.space, level), leg.space.radius)
+    return held
 
 
-@lean()
-def _count_on_both(
-    path: FloatArray, own: Cells, other: Cells, obstacles: Places, radius: float, scratch: Scratch
-) -> int:
+@njit(cache=True, nogil=True)
+def _count_on_both(path: FloatArray, here: Sequence[Here], beyond: Sequence[Here], radius: float) -> int:
+    own, other, obstacles = here[0].about.ground, beyond[0].about.ground, beyond[0].about.places
+    scratch = make_scratch()
     for i in range(len(path)):
         x, y = path[i, 0], path[i, 1]
         if not abs(height_of(own, x, y) - height_of(other, x, y)) <= SAME_GROUND:  # a NaN compares false

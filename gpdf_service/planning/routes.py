@@ -13,22 +13,22 @@ from numba import njit
 
 from gpdf_service.fields.tree import make_scratch
 from gpdf_service.kernel_cache import lean
-from gpdf_service.planning.endpoints import Endpoint, Ends, connect_at, radius_at
+from gpdf_service.planning.endpoints import Endpoint, Ends, connect, radius_at
 from gpdf_service.planning.shape import (
     distinct,
     is_path_clear,
     is_straight,
     lengths,
     pull,
-    pull_tight,
     radius_of,
     radius_within,
     subdivide,
+    tighten,
 )
-from gpdf_service.search import Doors, FreeSpace, Graph, Prefer, Ways, find_way, prices
-from gpdf_service.search.boxed import boxed
 from gpdf_service.search.core import Core, Search, climb, find_nodes, search_in, tops_of
-from gpdf_service.search.layered import above, below, start_above
+from gpdf_service.search.free_space import FreeSpace
+from gpdf_service.search.graph import Doors, Graph, find_way
+from gpdf_service.search.layered import below
 from gpdf_service.search.places import Places, distance_at
 from gpdf_service.search.steps import is_near_step
 from gpdf_service.search.ways import (
@@ -40,11 +40,15 @@ from gpdf_service.search.ways import (
     UNSEEN,
     Beside,
     Here,
+    Prefer,
+    Ways,
     beside,
+    boxed,
     here,
     least_takes,
-    steps_on,
+    prices,
     straight_takes,
+    way_steps,
     way_takes,
 )
 from gpdf_service.tiles.surface import Cells
@@ -164,12 +168,22 @@ def way_takes_of(legs: list[Leg], prefer: Prefer = Prefer.COMPANION) -> FloatArr
     return sum((way_takes(leg.path, beside(leg.space, leg.level, prefer)).sum(axis=0) for leg in legs), np.zeros(6))
 
 
-def steps_of(legs: list[Leg]) -> FloatArray:
-    """Rise and fall of a way in steps, and in high ones (2,) [m]."""
-    taken = np.zeros(2)
+def steps_of(legs: list[Leg]) -> tuple[float, float]:
+    """Rise and fall of a way in steps, and in high ones [m]."""
+    stepped, high = 0.0, 0.0
     for level, path, space in legs:
-        taken += steps_on(path, here(space, level))
-    return taken
+        more, higher = way_steps(path, here(space, level))
+        stepped, high = stepped + more, high + higher
+    return stepped, high
+
+
+def is_as_level(legs: list[Leg], others: list[Leg], more: float) -> bool:
+    """Whether a way takes no steps, or those of another one and at most so much more rise and fall [m]."""
+    stepped, high = steps_of(legs)
+    if stepped == high == 0.0:
+        return True
+    most, highest = steps_of(others)
+    return stepped <= most + more and high <= highest + more
 
 
 def find_cut(space: FreeSpace, stops: list[Endpoint]) -> tuple[Endpoint, Endpoint] | None:
@@ -199,7 +213,7 @@ def take_up(space: FreeSpace, ends: Ends, known: FloatArray) -> Route | None:
         return None
     heights = np.stack([surface.height_at(inner[:, :2]) for surface in space.surfaces])
     off = np.abs(np.where(np.isnan(heights), np.inf, heights) - inner[:, 2])
-    if len(inner) and off.min(axis=0).max() > space.surfaces[0].cell_width:
+    if len(inner) and off.min(axis=0).max() > space.levels[0].surface.cell_width:
         return None
     level = [ends.start.level, *off.argmin(axis=0).tolist(), goal.level]
     legs = _cut_by_level(space, np.vstack([ends.start.xy, inner[:, :2], goal.xy]), level)
@@ -250,15 +264,13 @@ def _over(
     return pulled, takes, by_step
 
 
-def _net(space: FreeSpace, core: Core) -> Sequence[_Net]:
+def _net(space: FreeSpace, core: Core) -> Sequence[Search]:
     """A space's graph and a core of it as they are searched; the box of its own core is kept."""
-    box: Sequence[_Net] | None = space.boxes.get(_Net) if core is space.core else None
+    box: Sequence[Search] | None = space.boxes.get(Search) if core is space.core else None
     if box is None:
-        places, levels = space.graph.position, space.graph.level
-        rows = (below(places), above(places), start_above(places)), (below(levels), above(levels), start_above(levels))
-        box = boxed(_Net(search_in(space.graph, core), rows))
+        box = boxed(search_in(space.graph, core))
         if core is space.core:
-            space.boxes[_Net] = box
+            space.boxes[Search] = box
     return box
 
 
@@ -386,20 +398,9 @@ class _Chain(NamedTuple):
     via: FloatArray
 
 
-_Rows = tuple[tuple[FloatArray, FloatArray, int], tuple[IntArray, IntArray, int]]
-"""Places and levels of a graph's nodes: those that stand, those that were added, and the first of these."""
-
-
-class _Net(NamedTuple):
-    """A graph as a core of it is searched, and where its nodes are."""
-
-    search: Search
-    rows: _Rows
-
-
 @njit(cache=True, nogil=True)
 def _pull_over(
-    net: Sequence[_Net],
+    net: Sequence[Search],
     of: tuple[int, int],
     ends: tuple[FloatArray, FloatArray],
     here: Sequence[Here],
@@ -407,11 +408,11 @@ def _pull_over(
     near: float,
 ) -> tuple[_Chain, FloatArray, FloatArray, bool]:
     """The way over a core from node to node; and `_pull` of it from end to end, (2,), if it is on one level."""
-    search, ((place, more_place, start), (on, more_on, _)) = net[0]
-    nodes, via = find_nodes(search, *of)
+    search = net[0]
+    (place, more_place), (on, more_on), (nodes, via) = search.place, search.level, find_nodes(search, *of)
     position, level = np.empty((len(nodes), 2)), np.empty(len(nodes), np.int64)
     for i in range(len(nodes)):
-        row = nodes[i] - start
+        row = nodes[i] - len(place)
         position[i] = place[nodes[i]] if row < 0 else more_place[row]
         level[i] = on[nodes[i]] if row < 0 else more_on[row]
     chain = _Chain(position, level, np.zeros(len(nodes), np.int64), via)
@@ -458,11 +459,11 @@ def _doors(ways: Ways, end: Endpoint) -> tuple[Doors, IntArray]:
     """
     able, level = ways.spaces[0], ways.spaces[-1]
     price = prices(able.agent, ways.prefer)
-    if level is not able and (own := connect_at(level, end.level, end.xy)) >= 0:
+    if level is not able and (own := connect(level, end.level, end.xy)) >= 0:
         leaf = np.array([own])
         node = _tops(ways, 1, leaf)
         return Doors(node, price[LENGTH] * np.linalg.norm(ways.graph.position[node] - end.xy, axis=1)), leaf
-    if (own := connect_at(able, end.level, end.xy)) < 0:
+    if (own := connect(able, end.level, end.xy)) < 0:
         return Doors(np.zeros(0, np.int64), np.zeros(0)), np.zeros(0, np.int64)
     leaf = np.array([own])
     node = _tops(ways, 0, leaf)
@@ -495,9 +496,9 @@ def _way_to(ways: Ways, end: Endpoint, node: int, doors: Doors, leaf: IntArray) 
 def _joined_leaves(ways: Ways, end: Endpoint) -> IntArray:
     """Leaves of the level ground near an end that the body gets to straight: nodes of its graph, the nearest first."""
     able, level = ways.spaces
-    tree = level.quadtrees[end.level]
+    tree = level.levels[end.level].quadtree
     leaf = tree.within(end.xy, NEAR)
-    node = leaf[tree.free[leaf]] + level.offsets[end.level]
+    node = leaf[tree.free[leaf]] + level.levels[end.level].offset
     made: IntArray = node[_joined_among(end.xy, level.graph.position[node], *_around(able, end.level))]
     return made
 
@@ -551,7 +552,8 @@ def _strung(
 
 def _around(space: FreeSpace, level: int) -> tuple[Places, float, float, Cells]:
     """What ways on a level are pulled between."""
-    return space.trees[level], space.reach, space.radius, space.surfaces[level].arrays
+    own = space.levels[level]
+    return own.places, space.reach, space.radius, own.surface.arrays
 
 
 def pull_all(legs: list[Leg], prefer: Prefer, *, between: bool = False) -> tuple[list[Leg], FloatArray]:
@@ -585,8 +587,8 @@ def _pull_cheaply(
         first, last = rest.pop()
         piece = path[first : last + 1]
         room = radius_of(piece, places, about.reach, radius)
-        pulled = pull_tight(piece, places, room, ground) if between else pull(piece, places, room, ground)
-        taken = way_takes(pulled, about)
+        tight = piece[tighten(piece, places, room, ground)] if between else pull(piece, places, room, ground)
+        taken = way_takes(tight, about)
         most, done = _costs(taken, price)[-1] / PULLED, last - first < 2
         if not done:
             least = _costs(least_takes(path, about), price) if len(least) == 0 else least
@@ -595,8 +597,8 @@ def _pull_cheaply(
             spent = _costs(way_takes(path, about), price) if len(spent) == 0 else spent
             done = most <= spent[last] - spent[first]
         if done:
-            made.append(pulled)
-            rows += len(pulled)
+            made.append(tight)
+            rows += len(tight)
             takes += taken.sum(axis=0)
         else:
             middle = (first + last + 1) // 2

@@ -9,14 +9,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.fields import FieldArrays, Gpdf
+from gpdf_service.fields import FieldArrays
 from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.kernel_cache import lean
 from gpdf_service.planning.costs import Memo, make_memo, recall
 from gpdf_service.search.core import NARROW
-from gpdf_service.search.motion import CENTRE, RESOLUTION, is_leap_clear, is_straight_clear
+from gpdf_service.search.motion import RESOLUTION, is_leap_clear, is_straight_clear
 from gpdf_service.search.places import Places, distance_at
-from gpdf_service.tiles import HeightMap
 from gpdf_service.tiles.surface import UNKNOWN, Cells, cell_of, height_of, rise_around
 from gpdf_service.types import FloatArray, IntArray
 
@@ -32,22 +31,15 @@ _STANDS = 1e-2
 """[-] A top this near to its height stands, as a share of it: a tenth of what a body may be off."""
 
 
-def shortcut(
-    path: FloatArray, obstacles: Places, radius: float, surface: HeightMap, offsets: FloatArray = CENTRE
-) -> IntArray:
+@njit(cache=True, nogil=True)
+def shortcut(path: FloatArray, obstacles: Places, radius: float, offsets: FloatArray, ground: Cells) -> IntArray:
     """Rows of a way over places (n, 2), or over poses (n, 3) of a body of discs, that a string pulled along it keeps.
 
     Each leg is proven clear of obstacles by `radius` [m], and lies on known ground: the path may lead around a hole.
     A leg between poses is a turn on the spot, a straight piece, and a turn.
-    """
-    return _shortcut(path, obstacles, radius, offsets, surface.arrays)
 
-
-@njit(cache=True, nogil=True)
-def _shortcut(path: FloatArray, obstacles: Places, radius: float, offsets: FloatArray, ground: Cells) -> IntArray:
-    """Greedy with doubling: from each kept row the furthest that doubling and halving find to be joined.
-
-    They begin beyond the rows that lie straight ahead, which are joined as they are, and with half of the last leap.
+    Greedy with doubling: from each kept row the furthest that doubling and halving find to be joined. They begin beyond
+    the rows that lie straight ahead, which are joined as they are, and with half of the last leap.
     """
     kept = [0]
     here = first = 0
@@ -108,18 +100,12 @@ def pull(path: FloatArray, obstacles: Places, radius: float, ground: Cells) -> F
 
     It keeps a `radius` [m] from the obstacles.
     """
-    centre = np.zeros(1)  # `CENTRE` itself is of a type that cannot be written to
-    rows = _shortcut(path, obstacles, radius, centre, ground)
+    centre = np.zeros(1)  # of a cylinder
+    rows = shortcut(path, obstacles, radius, centre, ground)
     if len(rows) == 2:  # straight, seen from either end
         return path[rows]
     back = np.ascontiguousarray(subdivide(path[rows], NARROW)[::-1])
-    return np.ascontiguousarray(back[_shortcut(back, obstacles, radius, centre, ground)][::-1])
-
-
-@njit(cache=True, nogil=True)
-def pull_tight(path: FloatArray, obstacles: Places, radius: float, ground: Cells) -> FloatArray:
-    """What a string keeps of a way over places (n, 2) that is pulled tight between what it goes between: `tighten`."""
-    return path[tighten(path, obstacles, radius, ground)]
+    return np.ascontiguousarray(back[shortcut(back, obstacles, radius, centre, ground)][::-1])
 
 
 @njit(cache=True, nogil=True)
@@ -138,14 +124,6 @@ def radius_within(room: float, reach: float, radius: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def is_joined(
-    a: FloatArray, b: FloatArray, obstacles: Places, radius: float, offsets: FloatArray, ground: Cells
-) -> bool:
-    """Whether the leg from a to b is clear and on known ground."""
-    return _is_joined(a, b, obstacles, radius, offsets, ground, make_scratch())
-
-
-@njit(cache=True, nogil=True)
 def _is_joined(
     a: FloatArray,
     b: FloatArray,
@@ -155,7 +133,7 @@ def _is_joined(
     ground: Cells,
     scratch: Scratch,
 ) -> bool:
-    """`is_joined` for a loop, which makes the scratch once."""
+    """Whether the leg from a to b is clear and on known ground."""
     if len(a) == 2:
         return is_straight(a, b, obstacles, radius, ground, scratch)
     return is_ground_known(ground, a, b) and is_leap_clear(obstacles, a, b, offsets, radius)
@@ -165,7 +143,7 @@ def _is_joined(
 def is_straight(
     a: FloatArray, b: FloatArray, obstacles: Places, radius: float, ground: Cells, scratch: Scratch
 ) -> bool:
-    """`is_joined` between places in plan, for a loop."""
+    """Whether the straight way between places in plan is clear and on known ground."""
     return is_ground_known(ground, a, b) and is_straight_clear(obstacles, a, b, radius, scratch)
 
 
@@ -223,12 +201,6 @@ def waypoints(path: FloatArray, spacing: float, ground: Cells, height: float) ->
         made[i, 0], made[i, 1], made[i, 2] = seed[i, 0], seed[i, 1], height_of(ground, seed[i, 0], seed[i, 1]) + height
         moves &= np.isfinite(made[i, 2])
     return made if moves else made[:0]
-
-
-@njit(cache=True, nogil=True)
-def rounded(xi: FloatArray, spacing: float) -> FloatArray:
-    """The `spline` in plan through what is distinct of waypoints, (n, 3)."""
-    return spline(distinct(np.ascontiguousarray(xi[:, :2])), spacing)
 
 
 @njit(cache=True, nogil=True)
@@ -329,7 +301,10 @@ def spline(path: FloatArray, spacing: float) -> FloatArray:
     return curve
 
 
-def stand_up(xy: FloatArray, surface: HeightMap, field: Gpdf, height: float) -> tuple[FloatArray, FloatArray]:
+@njit(cache=True, nogil=True)
+def stand_on(
+    xy: FloatArray, ground: Cells, ends: NDArray[np.float32], field: FieldArrays, height: float
+) -> tuple[FloatArray, FloatArray]:
     """Contact points and the body's top over them, both (n, 3).
 
     The top is where d_g = h, as in the paper (Newton steps along z; on level ground one), but within a tenth of the
@@ -338,15 +313,6 @@ def stand_up(xy: FloatArray, surface: HeightMap, field: Gpdf, height: float) -> 
     Only where the path takes a step that is higher than both tenths does the top rise before it as that surface does:
     no other way over it keeps the body's height from the ground all along.
     """
-    stood: tuple[FloatArray, FloatArray] = stand_on(xy, surface.arrays, surface.ends, field.arrays, height)
-    return stood
-
-
-@njit(cache=True, nogil=True)
-def stand_on(
-    xy: FloatArray, ground: Cells, ends: NDArray[np.float32], field: FieldArrays, height: float
-) -> tuple[FloatArray, FloatArray]:
-    """See `stand_up`."""
     contact, top = np.empty((len(xy), 3)), np.empty((len(xy), 3))
     if is_level(xy, ground, ends, height):
         for i in range(len(xy)):

@@ -11,7 +11,7 @@ from gpdf_service.planning.routes import Leg, Route
 from gpdf_service.planning.shape import shortcut
 from gpdf_service.planning.timing import STILL, time_path
 from gpdf_service.planning.words import measure, place_words
-from gpdf_service.search import FreeSpace
+from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.lattice import MOST_POSES, POSES_PER_SECOND, PoseSearch, find_poses, moving
 from gpdf_service.search.motion import leap
 from gpdf_service.types import Agent, FloatArray, Status
@@ -48,7 +48,7 @@ def turn_route(space: FreeSpace, route: Route, seconds: float, facing: Facing = 
         return _stuck(own, level, PoseSearch(np.append(path[0, :2], 0.0)[None], reached=False, given_up=True))
     for n, (level, path, own) in enumerate(route.legs, start=1):
         ends, body = (heading, facing[1] if n == len(route.legs) else None), (own.agent.offsets, own.radius)
-        found = find_poses(own.trees[level], own.surfaces[level], path, ends, *body, most=most)
+        found = find_poses(own.levels[level].places, own.surfaces[level], path, ends, *body, most=most)
         if not found.reached:
             return _stuck(own, level, found)
         legs.append(Leg(level, _pull(own, level, found.poses), own))
@@ -58,7 +58,7 @@ def turn_route(space: FreeSpace, route: Route, seconds: float, facing: Facing = 
 
 def _stuck(space: FreeSpace, level: int, found: PoseSearch) -> Stuck:
     agent, xy = space.agent, found.poses[-1, :2]
-    at = np.append(xy, space.surfaces[level].height_at(xy[None]))
+    at = np.append(xy, space.levels[level].surface.height_at(xy[None]))
     place = place_words(xy)
     if found.given_up:
         words = f"the {agent.name} had come as near as {place} when the search for a way was given up. Allow more time."
@@ -71,7 +71,8 @@ def _stuck(space: FreeSpace, level: int, found: PoseSearch) -> Stuck:
 
 def _pull(space: FreeSpace, level: int, poses: FloatArray) -> FloatArray:
     """A way over poses, (n, 3), pulled straight: turn on the spot, go straight ahead, turn again; θ unwrapped."""
-    kept = shortcut(poses, space.trees[level], space.radius, space.surfaces[level], space.agent.offsets)
+    own = space.levels[level]
+    kept = shortcut(poses, own.places, space.radius, space.agent.offsets, own.surface.arrays)
     parts = [poses[:1]]
     for a, b in pairwise(kept):
         parts.append(leap(poses[a], poses[b]) if b - a > 1 else poses[[b]])

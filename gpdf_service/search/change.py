@@ -19,6 +19,7 @@ from gpdf_service.search.free_space import (
     build_level,
     fit_obstacle_field,
     join_levels,
+    level_space,
     reach_of,
 )
 from gpdf_service.search.graph import Edges, SameLeaves, change_edges, same_leaves
@@ -50,40 +51,41 @@ def change_free_space(
         setup: As the space before was built.
     """
 
-    def one(i: int) -> LevelSpace:
+    def one(i: int) -> tuple[LevelSpace, IntArray | None]:
         level, ground_field, (k, cells) = levels.levels[i], ground_fields[i], touched[i]
         if k < 0:
-            return build_level(level, ground_field, old.agent, old.radius, setup)
-        was = old.standing_on(k, level, ground_field)
-        return was if cells is None else _change_level(was, level, cells, first[i], old, setup)
+            return build_level(level, ground_field, old.agent, old.radius, setup), None
+        was = replace(old.levels[k], ground_field=ground_field)
+        return (was, None) if cells is None else _change_level(was, level, cells, first[i], old, setup)
 
-    made, reach = run_parallel(one, range(len(touched))), reach_of(old.agent, setup.config, setup.scan.noise)
-    return join_levels(old.agent, *reach, made, levels, (old, [k for k, _ in touched]))
+    made, sources = zip(*run_parallel(one, range(len(touched))), strict=True)
+    reach = reach_of(old.agent, setup.config, setup.scan.noise)
+    return join_levels(old.agent, *reach, made, levels, (old, [k for k, _ in touched], sources))
 
 
 def _change_level(
     was: LevelSpace, level: GroundLevel, touched: BoolArray, first: IntArray, old: FreeSpace, setup: Setup
-) -> LevelSpace:
-    surface, agent, radius = level.surface, old.agent, old.radius
+) -> tuple[LevelSpace, IntArray | None]:
+    """The level now, and the leaf then of each leaf now, see `Former`."""
+    surface, agent, radius, leaves = level.surface, old.agent, old.radius, was.quadtree.standing
     obstacles, tree, places = _change_obstacles(was, level, touched, first, agent, setup.scan)
     turning = turned(was.surface, surface)
-    part = replace(was, surface=surface, measured=level.measured, obstacles=obstacles, tree=tree)
     if len(places) == 0 and not turning.state.any():
-        return replace(part, obstacle_field=was.obstacle_field.over(surface))
+        former = was.obstacle_field.standing.over(surface)
+        return level_space(level, was.ground_field, obstacles, tree, former, leaves, was.edges), None
 
     def leaves_and_edges() -> tuple[Quadtree, SameLeaves, Edges]:
         around = build_tree(places) if len(places) else None
-        quadtree = change_quadtree(was.quadtree, surface, tree, radius, around, turning)
-        same = same_leaves(was.quadtree, quadtree)
+        quadtree = change_quadtree(leaves, surface, tree, radius, around, turning)
+        same = same_leaves(leaves, quadtree)
         return quadtree, same, change_edges(was.edges, same, quadtree, Places(tree), radius, around)
 
     def field() -> Gpdf:
         made = _change_field(was, obstacles, tree, places, setup.config.field_spacing * agent.disc_radius)
         return fit_obstacle_field(obstacles, surface, agent, setup) if made is None else made
 
-    (quadtree, (_, source), edges), obstacle_field = run_beside(leaves_and_edges, field)
-    made = replace(part, obstacle_field=obstacle_field.over(surface), quadtree=quadtree, edges=edges)
-    return replace(made, source=source)
+    (quadtree, (_, source), edges), made = run_beside(leaves_and_edges, field)
+    return level_space(level, was.ground_field, obstacles, tree, made.over(surface), quadtree, edges), source
 
 
 def _change_obstacles(
@@ -98,20 +100,21 @@ def _change_obstacles(
     by, shape = first_cell(level.surface, after.origin), after.state.shape
     wide = obstacles_felt(moved(touched, by, shape, fill=True), before, after, agent)
     region = moved(wide, first_cell(after, level.surface.origin), touched.shape, fill=True)
+    stood, trunk = was.standing, was.places.standing
     found = obstacles_of(_part(level, first, region, reach, shut), agent, scan, level.limits_in(region))
     cells = after.origin, after.cell_width, wide
-    inside, gone = rows_in_cells(found.points, *cells), rows_in_tree(was.tree, *cells)
-    rows = (was.obstacles, was.tree.order[gone]), (found, inside)
+    inside, gone = rows_in_cells(found.points, *cells), rows_in_tree(trunk, *cells)
+    rows = (stood, trunk.order[gone]), (found, inside)
     key = [hashed(each.points.view(np.uint64), each.kind, own) for each, own in rows]
     other = more_now(np.concatenate(key), len(gone)) != 0
     gone, inside = gone[other[: len(gone)]], inside[other[len(gone) :]]
     if len(gone) == len(inside) == 0:
-        return was.obstacles, was.tree, np.zeros((0, 2))
-    lost, fresh = np.sort(was.tree.order[gone]), found.points[inside]
-    points = rows_spliced(was.obstacles.points, lost, fresh)
-    kind = rows_spliced(was.obstacles.kind, lost, found.kind[inside])
-    tree = _change_tree(was.tree, gone, lost, fresh[:, :2])
-    return Obstacles(points, kind), tree, np.concatenate([was.tree.points[gone], fresh[:, :2]])
+        return stood, trunk, np.zeros((0, 2))
+    lost, fresh = np.sort(trunk.order[gone]), found.points[inside]
+    points = rows_spliced(stood.points, lost, fresh)
+    kind = rows_spliced(stood.kind, lost, found.kind[inside])
+    tree = _change_tree(trunk, gone, lost, fresh[:, :2])
+    return Obstacles(points, kind), tree, np.concatenate([trunk.points[gone], fresh[:, :2]])
 
 
 @njit(cache=True, nogil=True)
@@ -173,9 +176,10 @@ def _change_field(was: LevelSpace, obstacles: Obstacles, tree: Tree, places: Flo
 
     The fit thins its points by cells of 0.95 spacings: only the cells with a change in them can have another point.
     """
+    former = was.obstacle_field.standing
     if len(places) == 0:
-        return was.obstacle_field
-    width, points = 0.95 * spacing, was.obstacle_field.points
+        return former
+    width, points = 0.95 * spacing, former.points
     cells = np.floor(places / width).astype(np.int64)
     first = cells.min(axis=0) - 2
     wanted = np.zeros(cells.max(axis=0) - first + 3, dtype=bool)
@@ -193,7 +197,7 @@ def _change_field(was: LevelSpace, obstacles: Obstacles, tree: Tree, places: Flo
         return None
     gone = np.zeros(len(points), dtype=bool)
     gone[lost[~_among(points[lost], fresh)]] = True
-    return was.obstacle_field.replace(gone, fresh[~_among(fresh, points[lost])])
+    return former.replace(gone, fresh[~_among(fresh, points[lost])])
 
 
 def _among(rows: FloatArray, others: FloatArray) -> BoolArray:

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.kernel_cache import lean
-from gpdf_service.search.graph import Graph, Patch, Question, astar, edges_of, far_end
+from gpdf_service.search.graph import Graph, Net, Question, astar, edges_of, far_end
 from gpdf_service.search.landmarks import Landmarks
 from gpdf_service.search.layered import Layered, above, below
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -55,18 +55,14 @@ class Links(NamedTuple):
     """A graph of leaves, as far as it tells which ones ways need.
 
     Attributes:
-        first: First edge of each node that stands, see `Graph`.
-        other: Far end of each edge.
-        patch: What is other, and nodes that were added.
+        net: Where its edges lead.
         clearance: From the centre of a node that stands to the nearest obstacle [m].
         added: The same of each of those that were added [m], and where it comes among those that stand, by their
             numbers: equal ones take turns by that; shape (m, 2).
         narrow: Whether a node is free and narrow, shape (n,).
     """
 
-    first: IntArray
-    other: IntArray
-    patch: Patch
+    net: Net
     clearance: FloatArray
     added: FloatArray
     narrow: BoolArray
@@ -75,19 +71,6 @@ class Links(NamedTuple):
     def room(self) -> Layered:
         """From the centre of each node to the nearest obstacle [m], shape (n,)."""
         return Layered(self.clearance, self.added[:, 0], len(self.clearance))
-
-
-@lean()
-def _edges(links: Links, node: int) -> tuple[int, int]:
-    """Number of the first edge of a node and behind its last."""
-    begin, end = edges_of(links.first, links.other, links.patch, node)
-    return begin, end
-
-
-@lean()
-def _far(links: Links, edge: int) -> int:
-    """Where an edge leads."""
-    return int(far_end(links.other, links.patch, edge))
 
 
 _Turn = tuple[float, float, int]
@@ -116,7 +99,7 @@ Former = tuple[Core, IntArray]
 
 def links_of(graph: Graph, free: BoolArray, width: FloatArray, clearance: FloatArray) -> Links:
     """The links of a graph of leaves that are so wide [m]; all of shape (n,)."""
-    return Links(graph.first, below(graph.other), graph.patch, clearance, np.zeros((0, 2)), free & (width < NARROW))
+    return Links(graph.net, clearance, np.zeros((0, 2)), free & (width < NARROW))
 
 
 def find_core(graph: Graph, free: BoolArray, links: Links, former: Former | None = None) -> Core:
@@ -147,7 +130,7 @@ def patch_core(core: Core, graph: Graph, gone: IntArray, added: FloatArray, widt
     was, (stays, up) = core.links, core.decided
     made = Decided(np.append(stays, np.ones(len(added), dtype=bool)), np.append(up, np.full(len(added), -1, np.int32)))
     made.stays[gone] = False
-    links = was._replace(patch=graph.patch, added=added, narrow=np.append(was.narrow, width < NARROW))
+    links = was._replace(net=graph.net, added=added, narrow=np.append(was.narrow, width < NARROW))
     asked = np.zeros(len(links.narrow), dtype=bool)
     _ask_near(links, graph.patch.node, asked)
     return _decide(graph, links, made, np.flatnonzero(asked), core)
@@ -187,7 +170,7 @@ def _left(
     links: Links, stays: BoolArray, node: IntArray, was: _Rows, via: _Both, cost: _Both
 ) -> tuple[IntArray, _Edges]:
     """Where the edges of each node that stays begin, and those between such nodes."""
-    number, standing, count = np.empty(len(stays), np.int32), len(links.other), 0
+    number, standing, count = np.empty(len(stays), np.int32), len(links.net.other), 0
     (kept, changed, begin_was, (edge_was, far_was, via_was, cost_was)) = was
     same, row = _rows_that_stand(links, kept, changed), np.full(len(node), -1)
     now, r = np.full(len(kept), -1), 0
@@ -197,7 +180,7 @@ def _left(
             r += 1
         if r < len(kept) and kept[r] == node[k]:
             now[r], row[k] = k, r if same[r] else -1
-        begin, end = (begin_was[r], begin_was[r + 1]) if row[k] >= 0 else _edges(links, node[k])
+        begin, end = (begin_was[r], begin_was[r + 1]) if row[k] >= 0 else edges_of(links.net, node[k])
         count += end - begin
     edge, first, far = np.empty(count, np.int64), np.zeros(len(node) + 1, np.int64), np.empty(count, np.int64)
     crossing, costs, count = np.empty((count, 2)), np.empty(count), 0
@@ -208,9 +191,9 @@ def _left(
                 crossing[count, 0], crossing[count, 1] = via_was[e, 0], via_was[e, 1]
                 count += 1
         else:
-            begin, end = _edges(links, node[k])
+            begin, end = edges_of(links.net, node[k])
             for e in range(begin, end):
-                near = _far(links, e)
+                near = far_end(links.net, e)
                 if stays[near]:
                     edge[count], far[count], i = e, number[near], e if e < standing else e - standing
                     at, costs[count] = (via[0][i], cost[0][i]) if e < standing else (via[1][i], cost[1][i])
@@ -224,12 +207,12 @@ def _left(
 def _rows_that_stand(links: Links, kept: IntArray, changed: IntArray) -> BoolArray:
     """Which of the nodes that were kept are in no patch, and beside none that changed."""
     same = np.ones(len(kept), np.bool_)
-    for node in links.patch.node:
+    for node in links.net.patch.node:
         _tell_other(kept, node, same)
     for node in changed:
-        begin, end = _edges(links, node)
+        begin, end = edges_of(links.net, node)
         for e in range(begin, end):
-            _tell_other(kept, _far(links, e), same)
+            _tell_other(kept, far_end(links.net, e), same)
     return same
 
 
@@ -245,15 +228,16 @@ def _tell_other(kept: IntArray, node: int, same: BoolArray) -> None:
 def _carry(now: Links, was: Links, source: IntArray, known: Decided, made: Decided) -> BoolArray:
     """Take over what was `known`; which nodes are to be decided on again: narrow ones within two edges of another."""
     asked, other = np.zeros(len(source), np.bool_), np.zeros(len(source), np.bool_)
+    (first, far, _), (first_was, far_was, _) = now.net, was.net
     for node in range(len(source)):
-        old, begin, count = source[node], now.first[node], now.first[node + 1] - now.first[node]
+        old, begin, count = source[node], first[node], first[node + 1] - first[node]
         same = old >= 0 and now.narrow[node] == was.narrow[old] and now.clearance[node] == was.clearance[old]
-        same = same and was.first[old + 1] - was.first[old] == count
+        same = same and first_was[old + 1] - first_was[old] == count
         for k in range(count if same else 0):
-            same &= source[now.other[begin + k]] == was.other[was.first[old] + k]
+            same &= source[far[begin + k]] == far_was[first_was[old] + k]
         if same and now.narrow[node]:
             made.stays[node] = known.stays[old]
-            made.up[node] = known.up[old] + begin - was.first[old] if known.up[old] >= 0 else -1
+            made.up[node] = known.up[old] + begin - first_was[old] if known.up[old] >= 0 else -1
         other[node] = not same
     _ask_near(now, np.flatnonzero(other), asked)
     return asked
@@ -264,13 +248,13 @@ def _ask_near(links: Links, nodes: IntArray, asked: BoolArray) -> None:
     """Mark the narrow ones of these nodes, and of those within two edges of them."""
     for node in nodes:
         asked[node] |= links.narrow[node]
-        begin, end = _edges(links, node)
+        begin, end = edges_of(links.net, node)
         for e in range(begin, end):
-            near = _far(links, e)
+            near = far_end(links.net, e)
             asked[near] |= links.narrow[near]
-            first, last = _edges(links, near)
+            first, last = edges_of(links.net, near)
             for f in range(first, last):
-                asked[_far(links, f)] |= links.narrow[_far(links, f)]
+                asked[far_end(links.net, f)] |= links.narrow[far_end(links.net, f)]
 
 
 @njit(cache=True, nogil=True)
@@ -290,9 +274,9 @@ def _thin(links: Links, order: IntArray, made: Decided) -> None:
         else:
             turn = heapq.heappop(later)
         node, count, best, most = turn[2], 0, -1, turn
-        begin, end = _edges(links, node)
+        begin, end = edges_of(links.net, node)
         for e in range(begin, end):
-            other = _far(links, e)
+            other = far_end(links.net, e)
             if not _is_left(links, stays, other, turn):
                 continue
             if count < _MOST_NEIGHBOURS:
@@ -309,12 +293,12 @@ def _thin(links: Links, order: IntArray, made: Decided) -> None:
 @njit(cache=True, nogil=True)
 def _ask_around(links: Links, turn: _Turn, asked: BoolArray, later: list[_Turn]) -> None:
     """Let the narrow nodes at most two edges away whose turn is later be decided on, too."""
-    begin, end = _edges(links, turn[2])
+    begin, end = edges_of(links.net, turn[2])
     for e in range(begin, end):
-        near = _far(links, e)
-        first, last = _edges(links, near)
+        near = far_end(links.net, e)
+        first, last = edges_of(links.net, near)
         for f in range(first, last):
-            for node in (near, _far(links, f)):
+            for node in (near, far_end(links.net, f)):
                 if links.narrow[node] and not asked[node] and _turn(links, node) > turn:
                     asked[node] = True
                     heapq.heappush(later, _turn(links, node))
@@ -336,9 +320,9 @@ def _are_joined(links: Links, stays: BoolArray, near: IntArray, turn: _Turn) -> 
             seen[k], count = True, count + 1
     while top > 0 and count < len(near):
         top -= 1
-        begin, end = _edges(links, stack[top])
+        begin, end = edges_of(links.net, stack[top])
         for e in range(begin, end):
-            between = _far(links, e)
+            between = far_end(links.net, e)
             if between == turn[2] or not _is_left(links, stays, between, turn):
                 continue
             for k in range(len(near)):
@@ -352,9 +336,9 @@ def _are_joined(links: Links, stays: BoolArray, near: IntArray, turn: _Turn) -> 
 
 @lean()
 def _has_edge(links: Links, node: int, to: int) -> bool:
-    begin, end = _edges(links, node)
+    begin, end = edges_of(links.net, node)
     for e in range(begin, end):  # noqa: SIM110 - compiled
-        if _far(links, e) == to:
+        if far_end(links.net, e) == to:
             return True
     return False
 
@@ -370,39 +354,43 @@ def climb(graph: Graph, core: Core, node: int) -> tuple[IntArray, IntArray]:
 
 def tops_of(core: Core, nodes: IntArray) -> IntArray:
     """The numbers in the core of the nodes that those of the whole graph lead up to, shape (k,); see `climb`."""
-    links = core.links
-    made: IntArray = _tops_of(links.other, links.patch.other, core.decided.up, core.node, nodes)
+    made: IntArray = _tops_of(core.links.net, core.decided.up, core.node, nodes)
     return made
 
 
 @njit(cache=True, nogil=True)
-def _tops_of(standing: IntArray, patched: IntArray, up: IntArray, kept: IntArray, nodes: IntArray) -> IntArray:
-    """See `tops_of`: by where standing edges and those of the patch lead, and the edges `up` to what was kept."""
+def _tops_of(net: Net, up: IntArray, kept: IntArray, nodes: IntArray) -> IntArray:
+    """See `tops_of`: by the edges `up` to what was kept."""
     made = np.empty(len(nodes), np.int64)
     for k in range(len(nodes)):
         at = nodes[k]
         while up[at] >= 0:
-            at = standing[up[at]] if up[at] < len(standing) else patched[up[at] - len(standing)]
+            at = far_end(net, up[at])
         made[k] = np.searchsorted(kept, at)
     return made
 
 
 class Search(NamedTuple):
-    """What `find_nodes` asks of a graph and its core, in compiled form."""
+    """What `find_nodes` asks of a graph and its core, in compiled form; and places and levels of the graph's nodes.
+
+    Of crossings, places and levels it has those that stand, and those of the patch.
+    """
 
     links: Links
     up: IntArray
     kept: tuple[IntArray, IntArray]
-    left: tuple[FloatArray, IntArray, IntArray, FloatArray, Patch, Landmarks]
+    left: tuple[FloatArray, Net, FloatArray, Landmarks]
     via: _Both
+    place: _Both
+    level: tuple[IntArray, IntArray]
 
 
 def search_in(graph: Graph, core: Core) -> Search:
     """A graph and its core as they are searched."""
     left = core.graph
-    asked = below(left.position), left.first, below(left.other), below(left.cost), left.patch, left.landmarks
-    via = below(graph.via), above(graph.via)
-    return Search(core.links, core.decided.up, (core.node, core.edge), asked, via)
+    asked = below(left.position), left.net, below(left.cost), left.landmarks
+    via, place, level = ((below(rows), above(rows)) for rows in (graph.via, graph.position, graph.level))
+    return Search(core.links, core.decided.up, (core.node, core.edge), asked, via, place, level)
 
 
 @njit(cache=True, nogil=True)
@@ -411,26 +399,26 @@ def find_nodes(search: Search, start: int, goal: int) -> tuple[IntArray, FloatAr
 
     It is the cheapest one, but for narrow leaves that were left out: up to the core, over what is left, and down again.
     """
-    links, up, (node, edge), left, via = search
-    position, first, near, cost, patch, landmarks = left
-    of, standing = (start, goal), len(links.other)
+    links, up, (node, edge), left, via, _, _ = search
+    position, over, cost, landmarks = left
+    of, standing = (start, goal), len(links.net.other)
     ends, height, free = np.empty(2, np.int64), np.zeros(2, np.int64), np.zeros(1)
     for k, at in enumerate(of):
         while up[at] >= 0:
-            at, height[k] = _far(links, up[at]), height[k] + 1
+            at, height[k] = far_end(links.net, up[at]), height[k] + 1
         ends[k] = np.searchsorted(node, at)
     place = position[ends[1]]
-    question = Question(position, first, near, cost, patch, landmarks, 1.0, ends[:1], free, ends[1:], free, place)
-    over = astar(question, len(position))[1]
-    count = height[0] + len(over) + height[1]
+    question = Question(position, over, cost, landmarks, 1.0, ends[:1], free, ends[1:], free, place)
+    across = astar(question, len(position))[1]
+    count = height[0] + len(across) + height[1]
     nodes, edges = np.empty(count + 1, np.int64), np.empty(count, np.int64)
     nodes[0], nodes[count] = of
-    for k in range(height[0] + len(over)):
-        edges[k] = up[nodes[k]] if k < height[0] else edge[over[k - height[0]]]
-        nodes[k + 1] = _far(links, edges[k])
+    for k in range(height[0] + len(across)):
+        edges[k] = up[nodes[k]] if k < height[0] else edge[across[k - height[0]]]
+        nodes[k + 1] = far_end(links.net, edges[k])
     for k in range(count - 1, count - 1 - height[1], -1):
         edges[k] = up[nodes[k + 1]]
-        nodes[k] = _far(links, edges[k])
+        nodes[k] = far_end(links.net, edges[k])
     crossings = np.empty((count, 2))
     for k in range(count):
         e = edges[k]

@@ -51,6 +51,14 @@ _NONE = np.zeros(0, np.int64)
 NO_PATCH = Patch(_NONE, np.zeros(0, np.int32), np.zeros(1, np.int64), _NONE, np.zeros(0), np.zeros((0, 2)))
 
 
+class Net(NamedTuple):
+    """Where the edges of a graph lead, in compiled form: those that stand, see `Graph`, and the patch."""
+
+    first: IntArray
+    other: IntArray
+    patch: Patch
+
+
 @dataclass(frozen=True, slots=True)
 class Graph:
     """Undirected graph in compressed rows, and a patch where something moves: its nodes and edges come after these.
@@ -76,6 +84,11 @@ class Graph:
     component: Rows
     patch: Patch = NO_PATCH
     landmarks: Landmarks = field(default_factory=lambda: NO_LANDMARKS)
+
+    @property
+    def net(self) -> Net:
+        """Where its edges lead."""
+        return Net(self.first, below(self.other), self.patch)
 
 
 @njit(cache=True, nogil=True)
@@ -283,8 +296,7 @@ def price_pairs(position: FloatArray, clearance: FloatArray, edges: Edges, radiu
     return price_edges(position[pairs], via, clearance[pairs], radius)
 
 
-@dataclass(frozen=True, slots=True)
-class Doors:
+class Doors(NamedTuple):
     """Nodes by which a search may begin or end, shape (k,), and what it costs to get there, shape (k,)."""
 
     node: IntArray
@@ -310,26 +322,20 @@ def find_way(graph: Graph, begin: Doors, end: Doors, goal: FloatArray, rate: flo
         goal: Place in plan (2,) [m].
         rate: Least cost of a metre.
     """
-    ways = below(graph.position), graph.first, below(graph.other), below(graph.cost), graph.patch, graph.landmarks, rate
-    first, edges = astar(Question(*ways, *_ends(begin), *_ends(end), goal), len(graph.position))
+    ways = below(graph.position), graph.net, below(graph.cost), graph.landmarks, rate
+    first, edges = astar(Question(*ways, *begin, *end, goal), len(graph.position))
     return int(first), edges
-
-
-def _ends(doors: Doors) -> tuple[IntArray, FloatArray]:
-    return doors.node, doors.cost
 
 
 class Question(NamedTuple):
     """What A* is asked: a graph, by which nodes a way may begin and end, at what cost, and where it leads.
 
-    The first seven attributes are those of `Graph` and `find_way`, the next four those of its `Doors`.
+    The first five attributes are those of `Graph` and `find_way`, the next four those of its `Doors`.
     """
 
     position: FloatArray
-    first: IntArray
-    other: IntArray
+    net: Net
     cost: FloatArray
-    patch: Patch
     landmarks: Landmarks
     rate: float
     sources: IntArray
@@ -340,8 +346,9 @@ class Question(NamedTuple):
 
 
 @lean()
-def edges_of(first: IntArray, other: IntArray, patch: Patch, node: int) -> tuple[int, int]:
+def edges_of(net: Net, node: int) -> tuple[int, int]:
     """Number of the first edge of a node and behind its last; those of the patch come after those that stand."""
+    first, other, patch = net
     row = patch.row[node] if len(patch.row) > 0 else 0
     if row == 0:
         return first[node], first[node + 1]
@@ -349,8 +356,9 @@ def edges_of(first: IntArray, other: IntArray, patch: Patch, node: int) -> tuple
 
 
 @lean()
-def far_end(other: IntArray, patch: Patch, edge: int) -> int:
+def far_end(net: Net, edge: int) -> int:
     """The node that an edge leads to."""
+    _, other, patch = net
     return int(other[edge] if edge < len(other) else patch.other[edge - len(other)])
 
 
@@ -454,8 +462,8 @@ def astar(question: Question, count: int) -> tuple[int, IntArray]:
 @lean()
 def _spread(question: Question, bounds: FloatArray, front: Front) -> None:
     """The search itself: until the goal is the next node, or none is left that leads there."""
-    position, first, other, cost, patch, landmarks, rate, sources, source_cost, exits, exit_cost, goal = question
-    goal_node, standing = len(front.known) - 1, len(other)
+    position, net, cost, landmarks, rate, sources, source_cost, exits, exit_cost, goal = question
+    goal_node, standing, patch = len(front.known) - 1, len(net.other), net.patch
     for k in range(len(sources)):
         node = sources[k]
         if front.known[node].came_by == 0 or source_cost[k] < front.known[node].cost_to_come:
@@ -476,9 +484,9 @@ def _spread(question: Question, bounds: FloatArray, front: Front) -> None:
                 front.known[goal_node].cost_to_come, front.known[goal_node].came_by = reached, 1
                 front.known[goal_node].came_from = node
                 _wait(front, reached, goal_node)
-        begin, end = edges_of(first, other, patch, node)
+        begin, end = edges_of(net, node)
         for e in range(begin, end):
-            near = far_end(other, patch, e)
+            near = far_end(net, e)
             reached = come + (cost[e] if e < standing else patch.cost[e - standing])
             if front.known[near].came_by == 0 or reached < front.known[near].cost_to_come:
                 front.known[near].cost_to_come, front.known[near].came_by, front.known[near].came_from = (

@@ -6,7 +6,7 @@ from gpdf_service.config import SearchConfig
 from gpdf_service.errors import SceneFileError
 from gpdf_service.fields import Gpdf, tree_of
 from gpdf_service.ground import GroundLevel, Levels, Obstacles
-from gpdf_service.search.free_space import FreeSpace, LevelSpace, join_levels, reach_of
+from gpdf_service.search.free_space import FreeSpace, LevelSpace, join_levels, level_space, reach_of
 from gpdf_service.search.quadtree import Quadtree
 from gpdf_service.store import Arrays, flatten, restore, under
 from gpdf_service.types import Agent
@@ -15,10 +15,10 @@ from gpdf_service.types import Agent
 def to_arrays(space: FreeSpace) -> Arrays:
     """All that `from_arrays` needs beside the ground."""
     made: Arrays = {}
-    for i, (tree, _) in enumerate(space.trees):
-        ends, via = space.edges[i]
-        made |= flatten(space.standing[i], f"{i}/obstacles") | flatten(space.quadtrees[i].standing, f"{i}/quadtree")
-        made |= {f"{i}/field/{key}": value for key, value in space.obstacle_fields[i].standing.to_arrays().items()}
+    for i, level in enumerate(space.levels):
+        tree, (ends, via) = level.places.standing, level.edges
+        made |= flatten(level.standing, f"{i}/obstacles") | flatten(level.quadtree.standing, f"{i}/quadtree")
+        made |= {f"{i}/field/{key}": value for key, value in level.obstacle_field.standing.to_arrays().items()}
         made |= {f"{i}/order": tree.order, f"{i}/begin": tree.begin, f"{i}/ends": ends, f"{i}/via": via}
     return made
 
@@ -42,10 +42,9 @@ def from_arrays(
 
 def _level_space(arrays: Arrays, level: GroundLevel, ground_field: Gpdf) -> LevelSpace:
     obstacles, order = restore(Obstacles, arrays, "obstacles"), arrays["order"]
-    return LevelSpace(
-        level.surface,
+    return level_space(
+        level,
         ground_field,
-        level.measured,
         obstacles,
         tree_of(obstacles.points[order, :2], order, arrays["begin"]),
         Gpdf.from_arrays(under("field/", arrays), domain=level.surface),

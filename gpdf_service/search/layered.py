@@ -49,8 +49,3 @@ def below(rows: Rows) -> NDArray[Any]:
 def above(rows: Rows) -> NDArray[Any]:
     """Those that are not among them."""
     return rows.above if isinstance(rows, Layered) else rows[:0]
-
-
-def start_above(rows: Rows) -> int:
-    """The number of the first of these."""
-    return rows.start if isinstance(rows, Layered) else len(rows)

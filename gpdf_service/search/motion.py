@@ -22,8 +22,6 @@ RESOLUTION = 1e-3
 """[m] A motion is called blocked when a piece of this length cannot be proven clear."""
 _RUN = 32
 """Pieces of a polyline that are looked at together first."""
-CENTRE = np.zeros(1)
-"""[m] Where the disc of a cylinder lies, ahead of its centre."""
 
 
 @lean()

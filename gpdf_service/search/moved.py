@@ -10,12 +10,11 @@ import numpy as np
 from scipy import ndimage
 
 from gpdf_service.fields import Nearer, build_tree
-from gpdf_service.fields.traversal import NearerArrays, nearest_only
 from gpdf_service.ground import GroundLevel, Levels, Obstacles, Scan, obstacles_of
 from gpdf_service.ground.level import OVERLAP, within_reach
 from gpdf_service.ground.limits import NO_LIMITS
 from gpdf_service.search.core import patch_core
-from gpdf_service.search.free_space import NONE, FreeSpace, Setup, fit_obstacle_field, joined
+from gpdf_service.search.free_space import NONE, FreeSpace, Setup, fit_obstacle_field, joined, whole_doors
 from gpdf_service.search.graph import Edges, find_edges
 from gpdf_service.search.patch import Around, Nodes, around, patched
 from gpdf_service.search.places import Places
@@ -34,31 +33,20 @@ def add_moving(space: FreeSpace, levels: Levels, points: FloatArray, setup: Setu
         points: What moves.
         setup: How the space of what stands was built.
     """
-    scan = setup.scan._replace(voxels=False)
-    found = [stopping(level, points, space.agent, scan) for level in levels.levels]
-    places, fields, exact = list(space.trees), list(space.obstacle_fields), list(space.exact_fields)
-    trees = list(space.quadtrees)
-    start = len(space.graph.position)
-    for i, more in enumerate(found):
+    scan, parts, start = setup.scan._replace(voxels=False), list(space.levels), len(space.graph.position)
+    split: list[tuple[int, SplitQuadtree]] = []
+    for i, (was, level) in enumerate(zip(space.levels, levels.levels, strict=True)):
+        more = stopping(level, points, space.agent, scan)
         if len(more.points) == 0:
             continue
-        surface, standing = space.surfaces[i], space.quadtrees[i].standing
-        places[i] = Places(space.trees[i].standing, build_tree(more.points[:, :2]))
-        moving = fit_obstacle_field(more, surface, space.agent, setup)
-        fields[i] = Nearer(space.obstacle_fields[i].standing, moving)
-        exact[i] = NearerArrays(space.exact_fields[i].standing, nearest_only(places[i].moving))
-        gone, fresh = split_again(standing, surface, places[i], space.radius)
-        trees[i] = SplitQuadtree(standing, gone, fresh, start - space.offsets[i])
+        places, leaves = Places(was.places.standing, build_tree(more.points[:, :2])), was.quadtree.standing
+        field = Nearer(was.obstacle_field.standing, fit_obstacle_field(more, was.surface, space.agent, setup))
+        gone, fresh = split_again(leaves, was.surface, places, space.radius)
+        tree = SplitQuadtree(leaves, gone, fresh, start - was.offset)
         start += len(fresh.size)
-    changed = replace(
-        space,
-        moving=tuple(found),
-        trees=tuple(places),
-        obstacle_fields=tuple(fields),
-        exact_fields=tuple(exact),
-        quadtrees=tuple(trees),
-    )
-    split = [(i, tree) for i, tree in enumerate(trees) if isinstance(tree, SplitQuadtree)]
+        parts[i] = replace(was, moving=more, places=places, obstacle_field=field, quadtree=tree)
+        split.append((i, tree))
+    changed = replace(space, levels=tuple(parts))
     return _connected(changed, split) if split else changed
 
 
@@ -110,13 +98,14 @@ def _connected(space: FreeSpace, split: list[tuple[int, SplitQuadtree]]) -> Free
     gone = space.gone
     lost, found, room = around(graph, gone), [], []
     for i, tree in split:
-        own = lost.ring[graph.level[lost.ring] == i] - space.offsets[i]
+        offset = space.levels[i].offset
+        own = lost.ring[graph.level[lost.ring] == i] - offset
         leaves = np.concatenate([own, tree.start + np.arange(len(tree.fresh.size))])
-        ends, via = find_edges(tree, space.trees[i], space.radius, leaves, partial(np.less_equal, tree.start))
-        found.append((ends + space.offsets[i], via))
+        ends, via = find_edges(tree, space.levels[i].places, space.radius, leaves, partial(np.less_equal, tree.start))
+        found.append((ends + offset, via))
         room.append(tree.clearance[ends])
-    for (ends, via), clearance in _portals(space, lost):
-        found.append((ends, via))
+    for edges, clearance in _portals(space, lost):
+        found.append(edges)
         room.append(clearance)
     position, clearance, half_size = (
         np.concatenate([getattr(tree.fresh, key) for _, tree in split]) for key in ("center", "clearance", "half_size")
@@ -124,7 +113,7 @@ def _connected(space: FreeSpace, split: list[tuple[int, SplitQuadtree]]) -> Free
     level = np.repeat([i for i, _ in split], [len(tree.fresh.size) for _, tree in split])
     edges = np.concatenate([ends for ends, _ in found]), np.concatenate([via for _, via in found])
     graph = patched(graph, lost, Nodes(position, level), edges, np.concatenate(room), space.radius)
-    within = np.concatenate([tree.within_gone + space.offsets[i] for i, tree in split])
+    within = np.concatenate([tree.within_gone + space.levels[i].offset for i, tree in split])
     place = within + np.arange(1, len(within) + 1) / (len(within) + 1)  # in the order of a quadtree of all
     added = np.column_stack([clearance, place])
     return replace(space, graph=graph, core=patch_core(space.core, graph, gone, added, 2.0 * half_size))
@@ -141,8 +130,4 @@ def _portals(space: FreeSpace, lost: Around) -> Iterator[tuple[Edges, FloatArray
     places = np.unique(np.column_stack([np.sort(levels[across], axis=1), graph.via[lost.edge[across]]]), axis=0)
     for a, b in np.unique(places[:, :2].astype(np.int64), axis=0):
         xy = places[(places[:, :2] == (a, b)).all(axis=1), 2:]
-        one, two = space.quadtrees[a].find(xy), space.quadtrees[b].find(xy)
-        both = (one >= 0) & (two >= 0) & space.quadtrees[a].whole[one] & space.quadtrees[b].whole[two]
-        one, two = one[both], two[both]
-        clearance = np.column_stack([space.quadtrees[a].clearance[one], space.quadtrees[b].clearance[two]])
-        yield (np.column_stack([one + space.offsets[a], two + space.offsets[b]]), xy[both]), clearance
+        yield whole_doors(space.levels[a], space.levels[b], xy)

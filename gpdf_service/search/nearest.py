@@ -57,14 +57,14 @@ def nearest_free(space: FreeSpace, place: FloatArray, off: float, component: int
     z, wanted = (float(place[2]) if len(place) == 3 else np.nan), -1 if component is None else component
     asked = _Asked(float(place[0]), float(place[1]), z, off, wanted)
     found = np.array([np.nan, np.nan, np.nan, np.inf])
-    grounds = [surface.arrays for surface in space.surfaces]
+    grounds = [own.surface.arrays for own in space.levels]
     apart = np.abs([height_of(ground, asked.x, asked.y) - z for ground in grounds])  # NaN comes last
     for level in np.argsort(apart, kind="stable").tolist():  # what is found on the level that is there bounds the rest
-        tree, first, ground = space.quadtrees[level], space.offsets[level], grounds[level]
-        standing = tree.standing
+        own, ground = space.levels[level], grounds[level]
+        tree, first, standing = own.quadtree, own.offset, own.quadtree.standing
         of = below(space.graph.component)[first : first + len(standing.size)]
         gone = tree.gone if isinstance(tree, SplitQuadtree) else np.zeros(0, np.int64)
-        _descend(_leaves(standing, of), gone, ground, space.surfaces[level].ends, asked, found)
+        _descend(_leaves(standing, of), gone, ground, own.surface.ends, asked, found)
         if isinstance(tree, SplitQuadtree) and len(tree.fresh.size):
             fresh = np.asarray(space.graph.component[first + tree.start + np.arange(len(tree.fresh.size))])
             _look_at_all(_leaves(tree.fresh, fresh), ground, asked, found)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.search.graph import Edges, Graph, Patch, edges_of, far_end, price_edges
+from gpdf_service.search.graph import Edges, Graph, Net, Patch, edges_of, far_end, price_edges
 from gpdf_service.search.layered import Layered, below
 from gpdf_service.tiles.nodes import components
 from gpdf_service.tiles.rows import is_among, rows_of_runs
@@ -121,16 +121,14 @@ def _components(graph: Graph, patch: Patch, start: IntArray) -> Layered:
         return Layered(component, fresh, count)
     standing = component.copy()
     seeds = nodes[:known][is_among(was, torn)]
-    _flood((graph.first, below(graph.other), patch), seeds, count + len(nodes), standing, fresh)
+    _flood(graph.net._replace(patch=patch), seeds, count + len(nodes), standing, fresh)
     return Layered(standing, fresh, count)
 
 
 @njit(cache=True, nogil=True)
-def _flood(
-    edges: tuple[IntArray, IntArray, Patch], seeds: IntArray, label: int, standing: IntArray, fresh: IntArray
-) -> None:
+def _flood(net: Net, seeds: IntArray, label: int, standing: IntArray, fresh: IntArray) -> None:
     """Give all nodes that one seed leads to a label of their own, from `label` on."""
-    (first, other, patch), count = edges, len(standing)
+    count = len(standing)
     for seed in seeds:
         if standing[seed] >= label:
             continue
@@ -138,9 +136,9 @@ def _flood(
         standing[seed] = mine
         while len(stack) > 0:
             node = stack.pop()
-            begin, end = edges_of(first, other, patch, node)
+            begin, end = edges_of(net, node)
             for e in range(begin, end):
-                near = far_end(other, patch, e)
+                near = far_end(net, e)
                 if (standing[near] if near < count else fresh[near - count]) < label:
                     if near < count:
                         standing[near] = mine

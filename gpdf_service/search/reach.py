@@ -32,9 +32,10 @@ class Reach:
 def find_reach(space: FreeSpace) -> Reach:
     """Measure a free space: its wholly free leaves, and the pieces that the graph makes of them."""
     nodes, rows = [], []
-    for tree, offset in zip(space.quadtrees, space.offsets, strict=True):
+    for own in space.levels:
+        tree = own.quadtree
         leaves = tree.numbers[tree.whole[tree.numbers]]
-        nodes.append(leaves + offset)
+        nodes.append(leaves + own.offset)
         rows.append(np.column_stack([tree.width * tree.size[leaves], tree.clearance[leaves]]))
     node, (width, clearance) = np.concatenate(nodes), np.concatenate(rows).T
     if not len(node):
@@ -52,4 +53,4 @@ def find_reach(space: FreeSpace) -> Reach:
 
 def _on_ground(space: FreeSpace, node: int) -> FloatArray:
     xy = space.graph.position[node]
-    return np.append(xy, space.surfaces[space.graph.level[node]].height_at(xy[None]))
+    return np.append(xy, space.levels[space.graph.level[node]].surface.height_at(xy[None]))

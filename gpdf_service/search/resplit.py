@@ -24,6 +24,11 @@ FELT = 5.0
 """[-] Times the body's radius: obstacles further from a leaf's centre are felt by nobody, see `ways.WIDE`."""
 
 
+def _both(name: str) -> cached_property[Layered]:
+    """What a `Quadtree` says of each leaf, by its number; a clearance where that is near enough to matter."""
+    return cached_property(lambda tree: Layered(getattr(tree.standing, name), getattr(tree.fresh, name), tree.start))
+
+
 @dataclass(frozen=True)
 class SplitQuadtree:
     """Leaves by number, as of a `Quadtree`: those that stand, and from `start` on the fresh ones.
@@ -55,38 +60,12 @@ class SplitQuadtree:
         """Width of the root in smallest cells."""
         return self.standing.side
 
-    @cached_property
-    def corner(self) -> Layered:
-        """Lower corner of each leaf in smallest cells."""
-        return self._both("corner")
-
-    @cached_property
-    def size(self) -> Layered:
-        """Width of each leaf in smallest cells."""
-        return self._both("size")
-
-    @cached_property
-    def half_size(self) -> Layered:
-        """Half the width of each leaf [m]."""
-        return self._both("half_size")
-
-    @cached_property
-    def clearance(self) -> Layered:
-        """Distance from its centre to the nearest obstacle [m], where that is near enough to matter."""
-        return self._both("clearance")
-
-    @cached_property
-    def free(self) -> Layered:
-        """Whether the body's centre may be at the leaf's centre."""
-        return self._both("free")
-
-    @cached_property
-    def whole(self) -> Layered:
-        """Whether it may be anywhere in the leaf."""
-        return self._both("whole")
-
-    def _both(self, name: str) -> Layered:
-        return Layered(getattr(self.standing, name), getattr(self.fresh, name), self.start)
+    corner = _both("corner")
+    size = _both("size")
+    half_size = _both("half_size")
+    clearance = _both("clearance")
+    free = _both("free")
+    whole = _both("whole")
 
     @property
     def numbers(self) -> IntArray:

@@ -15,13 +15,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+from numba.typed import List
 from numpy.typing import NDArray
 
 from gpdf_service.fields import AnyField, FieldArrays
+from gpdf_service.fields.traversal import NearerArrays, nearest_only
 from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.ground import ObstacleKind
 from gpdf_service.kernel_cache import lean
-from gpdf_service.search.boxed import boxed
 from gpdf_service.search.core import Core
 from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.graph import Edges, Graph, assemble
@@ -102,15 +103,24 @@ class Beside(NamedTuple):
 
 def beside(space: FreeSpace, level: int, prefer: Prefer = Prefer.COMPANION) -> Beside:
     """What is beside the ways on a level."""
-    places, ground = space.trees[level], space.surfaces[level].arrays
-    standing, moving = space.standing[level].kind, space.moving[level].kind
-    kind = np.concatenate([standing, moving]) if len(moving) else standing
-    limits = space.reach, minded_room(space.agent, prefer), space.agent.comfortable_step
-    return Beside(places, kind, ground, space.noticed[level], space.steps[level], space.slopes[level], *limits)
+    own, limits = space.levels[level], (space.reach, minded_room(space.agent, prefer), space.agent.comfortable_step)
+    return Beside(own.places, own.kind, own.surface.arrays, own.noticed, own.steps, own.slopes, *limits)
 
 
 Fields = tuple[AnyField, FieldArrays]
 """d_o, 2D, and d_g, 3D, in compiled form."""
+
+
+@njit(cache=True, nogil=True)
+def boxed(content: tuple[Any, ...]) -> Any:  # noqa: ANN401 - a sequence of what it is given
+    """A list of Numba's own that holds one tuple of arrays, which live as long as it does.
+
+    Numba takes a tuple over from Python array by array, at each call: some 0.25 µs each; such a list as it is, whatever
+    is in it. So what a space keeps for its plans is in lists of one tuple.
+    """
+    box = List()
+    box.append(content)
+    return box
 
 
 class Here(NamedTuple):
@@ -130,7 +140,7 @@ class Here(NamedTuple):
 def here(space: FreeSpace, level: int, prefer: Prefer = Prefer.COMPANION) -> Sequence[Here]:
     """What a level is to the kernels of a plan, in a box that the space keeps."""
     if (level, prefer) not in space.boxes:
-        surface = space.surfaces[level]
+        surface = space.levels[level].surface
         space.boxes[level, prefer] = boxed(Here(beside(space, level, prefer), surface.ends, surface.inferred))
     box: Sequence[Here] = space.boxes[level, prefer]
     return box
@@ -140,8 +150,9 @@ def fields_of(space: FreeSpace, level: int, *, exact: bool = False) -> Sequence[
     """What a path on a level is bent by, or by the `exact` places of obstacles, in a box that the space keeps."""
     key = Fields, level, exact
     if key not in space.boxes:
-        obstacles = space.exact_fields[level] if exact else space.obstacle_fields[level].arrays
-        space.boxes[key] = boxed((obstacles, space.ground_fields[level].arrays))
+        own = space.levels[level]
+        obstacles = NearerArrays(*map(nearest_only, own.places)) if exact else own.obstacle_field.arrays
+        space.boxes[key] = boxed((obstacles, own.ground_field.arrays))
     box: Sequence[Fields] = space.boxes[key]
     return box
 
@@ -209,19 +220,15 @@ def least_takes(path: FloatArray, about: Beside) -> FloatArray:
 @lean()
 def _look_at_ground(path: FloatArray, about: Beside, made: FloatArray) -> None:
     """Write what `least_takes` says."""
+    on = about.ground, about.steps, about.slopes, about.glad_step
     for i in range(len(path) - 1):
         a, b = (path[i, 0], path[i, 1]), (path[i + 1, 0], path[i + 1, 1])
-        taken = _ground_takes(a, b, _ground_of(about))
+        taken = _ground_takes(a, b, on)
         made[i, LENGTH], made[i, SLOPED], made[i, STEPPED], made[i, LEDGE] = taken
 
 
 _Ground = tuple[Cells, FloatArray, FloatArray, float]
 """Heights, steps and slopes of the ground, and the highest step that is gladly taken [m]."""
-
-
-@lean()
-def _ground_of(about: Beside) -> _Ground:
-    return about.ground, about.steps, about.slopes, about.glad_step
 
 
 @lean()
@@ -247,18 +254,13 @@ def _ground_takes(a: tuple[float, float], b: tuple[float, float], on: _Ground) -
 
 
 @njit(cache=True, nogil=True)
-def steps_on(path: FloatArray, here: Sequence[Here]) -> tuple[float, float]:
-    """`way_steps` on a level of a space."""
-    return way_steps(path, here[0].about)
-
-
-@lean()
-def way_steps(path: FloatArray, about: Beside) -> tuple[float, float]:
-    """Rise and fall in steps, and in high ones, of a way in plan, shape (n, ≥ 2) [m]."""
-    stepped, high = 0.0, 0.0
+def way_steps(path: FloatArray, here: Sequence[Here]) -> tuple[float, float]:
+    """Rise and fall in steps, and in high ones, of a way in plan on a level, shape (n, ≥ 2) [m]."""
+    about, stepped, high = here[0].about, 0.0, 0.0
+    on = about.ground, about.steps, about.slopes, about.glad_step
     for i in range(len(path) - 1):
         a, b = (path[i, 0], path[i, 1]), (path[i + 1, 0], path[i + 1, 1])
-        _, _, more, higher = _ground_takes(a, b, _ground_of(about))
+        _, _, more, higher = _ground_takes(a, b, on)
         stepped, high = stepped + more, high + higher
     return stepped, high
 
@@ -393,7 +395,7 @@ def _edges_of(core: Core, first: int) -> tuple[IntArray, IntArray, FloatArray]:
 
 def _of_leaves(space: FreeSpace, name: str, node: IntArray, level: IntArray) -> NDArray[Any]:
     """A measure of leaves, by their nodes and levels, shape (k,)."""
-    found = [getattr(tree, name)[node[level == on] - space.offsets[on]] for on, tree in enumerate(space.quadtrees)]
+    found = [getattr(own.quadtree, name)[node[level == on] - own.offset] for on, own in enumerate(space.levels)]
     made = np.empty(len(node), found[0].dtype)
     for on, values in enumerate(found):
         made[level == on] = values
@@ -403,10 +405,10 @@ def _of_leaves(space: FreeSpace, name: str, node: IntArray, level: IntArray) -> 
 def _leaf_at(space: FreeSpace, position: FloatArray, level: IntArray) -> IntArray:
     """The node of a space whose leaf holds each place on a level, shape (k,); −1 for none."""
     made = np.full(len(position), -1, np.int64)
-    for on, (tree, offset) in enumerate(zip(space.quadtrees, space.offsets, strict=True)):
+    for on, own in enumerate(space.levels):
         here = np.flatnonzero(level == on)
-        leaf = tree.find(position[here])
-        made[here] = np.where(leaf >= 0, leaf + offset, -1)
+        leaf = own.quadtree.find(position[here])
+        made[here] = np.where(leaf >= 0, leaf + own.offset, -1)
     return made
 
 
@@ -429,10 +431,10 @@ def _doors(
 def _unseen(space: FreeSpace, position: FloatArray, on: IntArray, room: FloatArray) -> BoolArray:
     """Whether the nearest obstacle of nodes with so much room [m] is ground which nobody has seen, if that is near."""
     one, tight = np.zeros(len(room), dtype=bool), room < space.reach + space.agent.disc_radius
-    for level in range(len(space.trees)):
+    for level, own in enumerate(space.levels):
         here = np.flatnonzero(tight & (on == level))
         if len(here):
-            one[here] = space.clearance(level, position[here])[1] == ObstacleKind.UNKNOWN
+            one[here] = own.clearance(position[here])[1] == ObstacleKind.UNKNOWN
     return one
 
 
@@ -443,8 +445,8 @@ _Nodes = tuple[FloatArray, IntArray, FloatArray, BoolArray]
 def _seconds(space: FreeSpace, nodes: _Nodes, edges: Edges, prefer: Prefer) -> FloatArray:
     """What each edge costs a body [s], shape (e,)."""
     (position, level, room, unseen), (ends, _), made = nodes, edges, np.zeros((len(edges[0]), 6))
-    for on, surface in enumerate(space.surfaces):
-        ground = surface.arrays, space.steps[on], space.slopes[on], space.agent.comfortable_step
+    for on, own in enumerate(space.levels):
+        ground = own.surface.arrays, own.steps, own.slopes, space.agent.comfortable_step
         _ground_of_edges((position, level), edges, on, ground, made)
     beside_it = room[ends].min(axis=1) - space.reach
     made[:, TIGHT] = made[:, LENGTH] * np.clip(1.0 - beside_it / minded_room(space.agent, prefer), 0.0, 1.0)

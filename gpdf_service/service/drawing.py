@@ -134,7 +134,7 @@ def _ground(scene: Scene, agent: str | Agent) -> _Table:
 
 
 def _obstacles(scene: Scene, agent: str | Agent) -> _Table:
-    found = scene.free_space(agent).obstacles
+    found = [own.obstacles for own in scene.free_space(agent).levels]
     table = np.concatenate(
         [_with_level(level.points, i, level.kind.astype(np.float64)) for i, level in enumerate(found)]
     )
@@ -143,7 +143,8 @@ def _obstacles(scene: Scene, agent: str | Agent) -> _Table:
 
 def _leaves(scene: Scene, agent: str | Agent) -> _Table:
     parts = []
-    for i, (tree, surface) in enumerate(zip(scene.free_space(agent).quadtrees, scene.surfaces, strict=True)):
+    for i, own in enumerate(scene.free_space(agent).levels):
+        tree, surface = own.quadtree, own.surface
         free = tree.numbers[tree.free[tree.numbers]]
         xy = centers(tree, free)
         height = surface.height_at(xy)

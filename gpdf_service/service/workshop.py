@@ -15,7 +15,7 @@ from gpdf_service.config import Config
 from gpdf_service.errors import SceneFileError
 from gpdf_service.pipeline import Progress, build_scene
 from gpdf_service.scene import Scene, load_scene
-from gpdf_service.search import Prefer
+from gpdf_service.search.ways import Prefer
 from gpdf_service.service.changes import Change, changed
 from gpdf_service.service.journal import arrays_of
 from gpdf_service.service.memory import held_bytes

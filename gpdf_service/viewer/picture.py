@@ -224,7 +224,7 @@ def _most_of(on: Iterable[IntArray]) -> list[int]:
 
 def _draw_field(figure: Figure, axes: Any, scene: Scene, agent: Agent, level: int) -> None:  # noqa: ANN401
     places, extent = _pixels(scene, level, FIELD_PIXELS)
-    sample = scene.free_space(agent).obstacle_fields[level].query(places.reshape(-1, 2))
+    sample = scene.free_space(agent).levels[level].obstacle_field.query(places.reshape(-1, 2))
     distance = np.where(sample.valid, sample.distance, np.nan).reshape(places.shape[:2])
     image = axes.imshow(distance, origin="lower", extent=extent, cmap="cividis", alpha=0.8)
     figure.colorbar(image, ax=axes, label=f"distance to what stops the {agent.name} [m]", shrink=0.7)
@@ -250,7 +250,7 @@ def _draw_quadtree(
     alpha: float,
 ) -> None:
     """The leaves in which the body may be, filled and edged with `colours`; as an image, for a million are as quick."""
-    tree = scene.free_space(agent).quadtrees[level]
+    tree = scene.free_space(agent).levels[level].quadtree
     places, extent = _pixels(scene, level, LEAF_PIXELS)
     leaf = tree.find(places.reshape(-1, 2)).reshape(places.shape[:2])
     free = (leaf >= 0) & tree.free[leaf]
@@ -265,7 +265,7 @@ def _draw_quadtree(
 
 
 def _draw_obstacles(axes: Any, scene: Scene, agent: Agent, level: int) -> None:  # noqa: ANN401
-    obstacles = scene.free_space(agent).obstacles[level]
+    obstacles = scene.free_space(agent).levels[level].obstacles
     stride = max(1, len(obstacles.points) // CLOUD_POINTS)
     for kind, colour in KIND_COLOURS.items():
         points = obstacles.points[obstacles.kind == kind][::stride]

@@ -11,7 +11,7 @@ from gpdf_service.bench.paper_tables import METHODS, to_markdown
 from gpdf_service.bench.peers import compare
 from gpdf_service.bench.plan import random_places
 from gpdf_service.cli import main
-from gpdf_service.search import is_clear
+from gpdf_service.search.motion import is_clear
 from gpdf_service.types import AGENTS
 
 pytestmark = pytest.mark.slow
@@ -121,7 +121,7 @@ def test_what_a_peer_calls_free_is_judged_by_the_exact_test(office, monkeypatch)
     monkeypatch.setattr(simd, "rrt_connect", lambda points, radius, low, high: straight)
     monkeypatch.setattr(peers, "PEERS", {})
     ours, theirs = peers.compare(scene, AGENTS["roomba"], pairs)
-    obstacles = scene.free_space("roomba").trees[0]
+    obstacles = scene.free_space("roomba").levels[0].places
     clear = sum(bool(is_clear(obstacles, *pair, AGENTS["roomba"].radius)) for pair in pairs)
     assert theirs["planner"] == "vamp"
     assert theirs["p50_search_ms"] == pytest.approx(1e-3)

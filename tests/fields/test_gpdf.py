@@ -70,7 +70,7 @@ def test_distance_never_exceeds_the_nearest_point(rng):
     field = fit_gpdf(points)
     queries = rng.uniform(-1, 4, (4000, 2))
     sample = field.query(queries)
-    assert (sample.distance <= field.nearest(queries) + 1e-12).all()
+    assert (sample.distance <= find_nearest(field.tree, queries)[0] + 1e-12).all()
     assert (sample.distance >= 0).all()
     assert (np.linalg.norm(sample.gradient, axis=1) <= 1 + 1e-9).all()
 
@@ -84,7 +84,7 @@ def test_a_sphere_from_outside_is_closer_to_the_truth_than_its_nearest_point(rng
     real = np.abs(np.linalg.norm(queries, axis=1) - 1)
     away = real > field.spacing
     error = field.query(queries).distance[away] - real[away]
-    nearest = field.nearest(queries)[away] - real[away]
+    nearest = find_nearest(field.tree, queries)[0][away] - real[away]
     assert np.sqrt((error**2).mean()) < 0.9 * np.sqrt((nearest**2).mean())
 
 
@@ -120,9 +120,9 @@ def test_log_domain_equals_the_plain_formula(rng):
     bare = field.discs * [1, 1, 1, 0, 1, 1]  # no radius: the bracket begins at the points
     field = Gpdf(field.tree, field.alpha, bare, field.noise, field.kernel)
     sample = field.query(queries).distance
-    free = np.abs(sample - field.nearest(queries)) > 1e-6  # where the bracket did not clip
+    free = np.abs(sample - find_nearest(field.tree, queries)[0]) > 1e-6  # where the bracket did not clip
     assert free.sum() > 30
-    inside = free & (plain > np.sqrt(np.maximum(field.nearest(queries) ** 2 - field.spacing**2, 0)))
+    inside = free & (plain > np.sqrt(np.maximum(find_nearest(field.tree, queries)[0] ** 2 - field.spacing**2, 0)))
     np.testing.assert_allclose(sample[inside], plain[inside], atol=1e-3)
 
 
@@ -209,7 +209,7 @@ def test_queries_of_another_dimension_or_kind_are_refused(floor, queries):
 
 
 def test_no_queries_have_no_answers(floor):
-    assert len(floor.query(np.zeros((0, 3))).distance) == len(floor.nearest(np.zeros((0, 3)))) == 0
+    assert len(floor.query(np.zeros((0, 3))).distance) == len(find_nearest(floor.tree, np.zeros((0, 3)))[0]) == 0
 
 
 class Everywhere:
@@ -290,7 +290,9 @@ def test_what_is_replaced_equals_a_fit_from_scratch(room, rng):
     for field in (inserted, removed):
         scratch = from_scratch(field)
         np.testing.assert_allclose(field.query(queries).distance, scratch.query(queries).distance, atol=1e-3)
-        np.testing.assert_allclose(field.nearest(queries), cKDTree(field.points).query(queries)[0], atol=1e-12)
+        np.testing.assert_allclose(
+            find_nearest(field.tree, queries)[0], cKDTree(field.points).query(queries)[0], atol=1e-12
+        )
     assert np.abs(inserted.query(queries).distance - room.query(queries).distance).max() > 0.3  # it did change
 
 
@@ -408,7 +410,7 @@ def test_beside_an_evenly_sampled_plane_the_distance_is_exact_and_finite_differe
     asked = np.column_stack([rng.uniform(1, 2, (500, 2)), rng.uniform(0.02, 0.05, 500)])
     sample = field.query(asked)
     assert np.quantile(np.abs(sample.distance - asked[:, 2]), 0.95) < 0.02 * field.spacing
-    assert (sample.distance <= field.nearest(asked)).all()
+    assert (sample.distance <= find_nearest(field.tree, asked)[0]).all()
     h = 1e-6
     smooth = np.ones(500, dtype=bool)
     for axis, step in enumerate(np.eye(3) * h):

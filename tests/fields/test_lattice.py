@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gpdf_service.config import FieldConfig
-from gpdf_service.fields import Gpdf, Lattice, fit_gpdf, fit_lattice, lattice_of
-from gpdf_service.fields.lattice import TILE, disc, half_disc
+from gpdf_service.fields import Gpdf, fit_gpdf
+from gpdf_service.fields.lattice import TILE, Lattice, disc, fit_lattice, half_disc, lattice_of
 from gpdf_service.types import FloatArray
 
 WIDTH = 0.06

@@ -96,7 +96,8 @@ def test_a_ramp_of_wide_voxels_is_no_row_of_things(turn):
     x, y = (each.ravel() for each in np.meshgrid(np.arange(0, 12, 0.03), np.arange(0, 4, 0.03), indexing="ij"))
     ramp = np.column_stack([x, y, np.clip(0.2 * (x - 4.0), 0.0, 0.8)]) @ turn_and_shift(turn)[:3, :3].T
     scene = build_scene(0.2 * np.unique(np.round(ramp / 0.2).astype(int), axis=0))
-    assert all(not (stops.kind == ObstacleKind.MATERIAL).any() for stops in scene.free_space("spot").obstacles)
+    stopping = [own.obstacles for own in scene.free_space("spot").levels]
+    assert all(not (stops.kind == ObstacleKind.MATERIAL).any() for stops in stopping)
 
 
 @pytest.mark.parametrize(
@@ -124,5 +125,5 @@ def test_a_change_of_voxels_into_points_changes_what_stops_a_body_as_a_build_doe
     after = before.update(insert=middle + np.array([[0.0, 0.0, 0.93], [0.0, 0.01, 0.97], [0.01, 0.0, 0.95]]))
     anew = from_scratch(after)
     assert not differences(after, anew)
-    stops = [scene.free_space("spot").obstacles[0].points for scene in (before, after, anew)]
+    stops = [scene.free_space("spot").levels[0].obstacles.points for scene in (before, after, anew)]
     assert len(stops[1]) == len(stops[2]) > len(stops[0]) + 3

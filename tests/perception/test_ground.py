@@ -232,8 +232,8 @@ def test_what_may_go_down_to_the_floor_between_the_points_of_a_thin_scan_stops_a
     floor = np.column_stack([rng.uniform(0, 4, (2500, 2)), np.zeros(2500)])  # 8 cm between the points
     post = np.column_stack([rng.normal(2, 0.02, (12, 2)), lowest + 0.08 * np.arange(12)])
     space = build_scene(np.concatenate([floor, post])).free_space("roomba")
-    assert 0.1 < space.surfaces[0].cell_width < 0.2
-    distance, kind = space.clearance(0, np.array([[2.0, 2.0]]))
+    assert 0.1 < space.levels[0].surface.cell_width < 0.2
+    distance, kind = space.levels[0].clearance(np.array([[2.0, 2.0]]))
     assert (distance[0] < 0.05 and kind[0] == ObstacleKind.MATERIAL) == stops
 
 
@@ -756,9 +756,9 @@ def test_a_scene_says_how_sure_its_ground_is():
 def test_every_blocked_leaf_says_why():
     scene = build_scene(*scan_of(World((6.0, 5.0, 2.7), (Box((2.0, 1.0, 0.0), (3.0, 2.0, 0.35), walkable=True),))))
     space = scene.free_space("roomba")
-    tree, surface = space.quadtrees[0], space.surfaces[0]
+    tree, surface = space.levels[0].quadtree, space.levels[0].surface
     blocked = tree.center[~tree.free]
-    distance, kind = space.clearance(0, blocked)
+    distance, kind = space.levels[0].clearance(blocked)
     named = distance < space.radius
     assert (named | ~surface.contains(blocked)).all()
     assert {ObstacleKind(int(one)) for one in np.unique(kind[named])} >= {ObstacleKind.MATERIAL, ObstacleKind.STEP}

@@ -66,7 +66,7 @@ def test_an_underside_that_is_seen_later_changes_the_scene_as_a_build_does():
     below = plane((2.0, 2.6), (2.0, 2.6), 2.1)
     seen = scene.update(insert=below, ground=np.zeros(len(below), dtype=bool))
     assert not differences(seen, from_scratch(seen))
-    room = [each.free_space("human").clearance(0, np.array([[2.3, 2.3]]))[0][0] for each in (scene, seen)]
+    room = [each.free_space("human").levels[0].clearance(np.array([[2.3, 2.3]]))[0][0] for each in (scene, seen)]
     assert room[0] < HUMAN.radius < room[1]
     again = seen.update(remove=np.arange(len(cloud), len(seen.points)))
     assert not differences(again, from_scratch(again))

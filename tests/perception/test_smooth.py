@@ -123,7 +123,7 @@ def test_a_platform_that_a_human_takes_is_one_at_5_cm_of_noise(seed):
     on = (np.abs(xy - 1.5) < 0.6).all(axis=1)
     points = np.column_stack([xy, np.where(on, 0.35, 0.0)])
     scene = gpdf.build_scene(points + rng.normal(0.0, NOISE, points.shape), np.ones(len(points), dtype=bool))
-    steps = scene.free_space("human").steps[0]
+    steps = scene.free_space("human").levels[0].steps
     assert 0.33 < np.quantile(steps[steps > 0.2], 0.5) < 0.37
     assert gpdf.plan(scene, (0.4, 1.5, 0.0), (1.5, 1.5, 0.35), "human").status is gpdf.Status.OK
 

@@ -10,7 +10,7 @@ from scipy.ndimage import distance_transform_edt
 import gpdf_service as gpdf
 from gpdf_service.fields.tree import build_tree
 from gpdf_service.planning.certificate import _coarsest_spacing, certify
-from gpdf_service.planning.shape import stand_up
+from gpdf_service.planning.shape import stand_on
 from gpdf_service.search.places import Places
 from gpdf_service.synthetic import Box, World
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, Cells, count_cells
@@ -43,12 +43,24 @@ def scenes():
     return {name: scene_of(*cloud) for name, cloud in made.items()}
 
 
+def with_places(space, places):
+    """The space with other obstacle places, one tree a level."""
+    levels = (dataclasses.replace(own, places=one) for own, one in zip(space.levels, places, strict=True))
+    return dataclasses.replace(space, levels=tuple(levels))
+
+
+def stand_up(space, xy):
+    """Contact points and tops on the only level."""
+    own = space.levels[0]
+    return stand_on(xy, own.surface.arrays, own.surface.ends, own.ground_field.arrays, space.agent.height)
+
+
 def certificate_of(scene, agent, begin=1.0, end=4.5):
     """Of the straight way along x, whatever stands there."""
     space = scene.free_space(agent)
-    space = dataclasses.replace(space, trees=tuple(Places(build_tree(FAR)) for _ in space.trees))
+    space = with_places(space, [Places(build_tree(FAR)) for _ in space.levels])
     xy = np.column_stack([np.arange(begin, end, 0.05), np.full(len(np.arange(begin, end, 0.05)), 1.5)])
-    ground, top = stand_up(xy, space.surfaces[0], space.ground_fields[0], space.agent.height)
+    ground, top = stand_up(space, xy)
     contact = np.column_stack([xy, np.nan_to_num(ground[:, 2])])
     return certify(space, np.where(np.isfinite(top), top, contact), contact, np.zeros(len(xy), dtype=np.int64))
 
@@ -78,10 +90,10 @@ def test_the_tightest_place_has_the_height_of_the_way_there(scenes):
     """A point beside the way, at its foot, half up a ramp and at its head."""
     space = scenes["slope"].free_space("human")
     xy = np.column_stack([np.arange(1.0, 5.0, 0.05), np.full(80, 1.5)])
-    ground, top = stand_up(xy, space.surfaces[0], space.ground_fields[0], space.agent.height)
+    ground, top = stand_up(space, xy)
     for x in (1.5, 3.0, 4.5):
         trees = (Places(build_tree(np.array([[x, 2.0]]))),)
-        found = certify(dataclasses.replace(space, trees=trees), top, ground, np.zeros(len(xy), dtype=np.int64))
+        found = certify(with_places(space, trees), top, ground, np.zeros(len(xy), dtype=np.int64))
         assert found.min_clearance_at[0] == pytest.approx(x, abs=0.06)
         assert found.min_clearance_at[2] == pytest.approx(float(ramp(np.array([[x, 1.5]]))[0]), abs=0.05)
 
@@ -109,7 +121,7 @@ def test_every_disc_stands_on_known_ground(scenes):
 def test_a_disc_is_where_the_body_faces(scenes, turn, holds):
     """Before the corner of a hole: facing it a disc is over the hole, facing along its side none is."""
     space = scenes["corner"].free_space(dataclasses.replace(AGENTS["spot"], discs=6))
-    space = dataclasses.replace(space, trees=tuple(Places(build_tree(FAR)) for _ in space.trees))
+    space = with_places(space, [Places(build_tree(FAR)) for _ in space.levels])
     ground = np.column_stack([np.array([(2.39, 1.39), (2.4, 1.4)]), np.zeros(2)])
     top = ground + np.array([0.0, 0.0, space.agent.height])
     found = certify(space, top, ground, np.zeros(2, dtype=np.int64), np.full(2, turn))
@@ -181,7 +193,7 @@ def test_beside_a_step_the_height_of_the_top_is_told_by_the_nearest_ground_or_by
     """Over its edge the top keeps its distance from the nearest ground, and is off its height over the contact."""
     space = scenes["step"].free_space("human")
     xy = np.column_stack([np.arange(1.0, 4.5, 0.05), np.full(70, 1.5)])
-    ground, top = stand_up(xy, space.surfaces[0], space.ground_fields[0], space.agent.height)
+    ground, top = stand_up(space, xy)
     level = np.zeros(len(xy), dtype=np.int64)
     path = dataclasses.make_dataclass("Path", ["ground", "positions"])(ground, top)
     off = looked_at_closely(space, path, level)[1]
@@ -213,7 +225,7 @@ def level_at(space, ground):
     """The level of each place (n, 3) of a way: of those whose ground is under it the one with the most room."""
     off = np.array([np.abs(surface.height_at(ground[:, :2]) - ground[:, 2]) for surface in space.surfaces])
     off = np.where(np.isnan(off), np.inf, off)
-    room = np.array([space.clearance(k, ground[:, :2])[0] for k in range(len(space.surfaces))])
+    room = np.array([space.levels[k].clearance(ground[:, :2])[0] for k in range(len(space.levels))])
     return np.where(off < 0.01, room, -off).argmax(axis=0)
 
 
@@ -225,13 +237,13 @@ def looked_at_closely(space, path, level, count=40):
         share = np.linspace(0.0, 1.0, count)[:, None]
         at = path.ground[a] + share * (path.ground[b] - path.ground[a])
         top = path.positions[a] + share * (path.positions[b] - path.positions[a])
-        room.append((space.clearance(on, at[:, :2])[0].min() - space.reach, i))
-        field = np.abs(space.ground_fields[on].query(top).distance - space.agent.height)
+        room.append((space.levels[on].clearance(at[:, :2])[0].min() - space.reach, i))
+        field = np.abs(space.levels[on].ground_field.query(top).distance - space.agent.height)
         off.append(np.minimum(np.abs(top[:, 2] - at[:, 2] - space.agent.height), field).max())
-        ix, iy, inside = space.surfaces[on].cells(at[:, :2])
+        ix, iy, inside = space.levels[on].surface.cells(at[:, :2])
         assert inside.all()
-        step.append(space.steps[on][ix, iy].max())
-        slope.append(space.slopes[on][ix, iy].max())
+        step.append(space.levels[on].steps[ix, iy].max())
+        slope.append(space.levels[on].slopes[ix, iy].max())
     return room, np.array(off), max(step), max(slope)
 
 
@@ -241,7 +253,7 @@ def test_a_certificate_says_of_a_way_over_storeys_what_a_close_look_at_each_part
     room, off, step, slope = looked_at_closely(space, path, level)
     least, where = min(room)
     assert least - 0.0021 <= found.min_clearance <= least + 1e-4
-    near = space.clearance(level[where + 1], found.min_clearance_at[None, :2])[0][0] - space.reach
+    near = space.levels[level[where + 1]].clearance(found.min_clearance_at[None, :2])[0][0] - space.reach
     assert near == pytest.approx(least, abs=0.003)
     assert found.min_clearance_at[2] == pytest.approx(
         path.ground[:, 2][np.linalg.norm(path.ground[:, :2] - found.min_clearance_at[:2], axis=1).argmin()]
@@ -263,9 +275,9 @@ def test_each_part_of_a_way_is_held_to_its_own_storeys_obstacles_and_the_worst_i
         middle = path.ground[own[len(own) // 2], :2]
         for gap in (0.02, -0.02):
             point = middle + (space.reach + gap) * np.array([0.0, 1.0])
-            trees = list(space.trees)
+            trees = [own.places for own in space.levels]
             trees[on] = trees[on]._replace(moving=build_tree(point[None]))
-            found = certify(dataclasses.replace(space, trees=tuple(trees)), path.positions, path.ground, level)
+            found = certify(with_places(space, trees), path.positions, path.ground, level)
             line = np.concatenate([np.linspace(path.ground[k - 1, :2], path.ground[k, :2], 50) for k in own if k])
             exact = min(clear, np.linalg.norm(line - point, axis=1).min() - space.reach)
             assert found.min_clearance == pytest.approx(exact, abs=0.0021)

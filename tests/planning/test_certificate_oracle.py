@@ -32,15 +32,16 @@ def floor():
 def space_of(floor, agent, surface=None, steps=None, slopes=None, obstacles=FAR):
     """The body's free space with this ground and these obstacles in place of its own."""
     space = floor.free_space(agent)
-    surface = surface or space.surfaces[0]
+    surface = surface or space.levels[0].surface
     zero = np.zeros(surface.state.shape)
-    return dataclasses.replace(
-        space,
-        surfaces=(surface,),
-        steps=(zero if steps is None else steps,),
-        slopes=(zero if slopes is None else slopes,),
-        trees=(Places(build_tree(obstacles)),),
+    level = dataclasses.replace(
+        space.levels[0],
+        surface=surface,
+        steps=zero if steps is None else steps,
+        slopes=zero if slopes is None else slopes,
+        places=Places(build_tree(obstacles)),
     )
+    return dataclasses.replace(space, levels=(level,))
 
 
 def certificate_of(space, path, top=0.0, heading=None):
@@ -122,7 +123,7 @@ def test_a_contact_that_is_off_the_known_ground_is_forgiven_where_the_top_is_at_
     space = space_of(floor, body)
     path = np.column_stack([np.linspace(-1.0, 1.0, 5), np.zeros(5), np.full(5, -0.3)])
     assert certificate_of(space, path, 0.3).max_height_deviation < FLAT
-    surface = space.surfaces[0]
+    surface = space.levels[0].surface
     hole = HeightMap(surface.origin, surface.cell_width, surface.height, np.zeros_like(surface.state))
     found = certificate_of(space_of(floor, body, hole), path, 0.3)
     assert found.max_height_deviation == pytest.approx(0.3)
@@ -194,7 +195,7 @@ def test_the_room_of_a_body_of_discs_is_that_of_all_its_discs_as_it_turns(floor,
 def test_ground_under_a_disc_that_is_turned_to_it_must_be_known(floor, ahead):
     """Before a hole: the body faces it with its front, or with its back, or goes along it."""
     body = dataclasses.replace(AGENTS["spot"], discs=6)
-    base = floor.free_space(body).surfaces[0]
+    base = floor.free_space(body).levels[0].surface
     x, _ = np.indices(base.state.shape)
     hole = base.origin[0] + (x + 0.5) * base.cell_width > 0.0
     for side in (hole, ~hole) if ahead else (hole,):
@@ -224,7 +225,7 @@ def test_a_way_is_cut_where_its_level_changes_and_pieces_meet_in_a_waypoint(seed
 
 def test_reasons_come_in_the_order_of_what_hurts_most(floor):
     """Everything is wrong at once; what is mended, one after another, leaves the next reason."""
-    base = floor.free_space("human").surfaces[0]
+    base = floor.free_space("human").levels[0].surface
     one, path = np.ones(base.state.shape), np.column_stack([np.linspace(-1.0, 1.0, 9), np.zeros(9)])
     nowhere = HeightMap(base.origin, base.cell_width, base.height, np.zeros_like(base.state))
     at_all = np.zeros((1, 2))
@@ -244,7 +245,7 @@ def test_reasons_come_in_the_order_of_what_hurts_most(floor):
 @pytest.mark.parametrize(("step", "holds"), [(0.0099, True), (0.0101, False)])
 def test_who_takes_no_step_goes_over_what_is_none(floor, step, holds):
     body = dataclasses.replace(AGENTS["human"], max_step=0.0)
-    base = floor.free_space(body).surfaces[0]
+    base = floor.free_space(body).levels[0].surface
     path = np.column_stack([np.linspace(-1.0, 1.0, 9), np.zeros(9)])
     found = certificate_of(space_of(floor, body, base, np.full(base.state.shape, step)), path)
     assert found.holds == holds
@@ -257,7 +258,9 @@ def test_on_a_ramp_the_top_is_where_the_contact_is_all_along(floor):
     ramp = gpdf.build_scene(np.column_stack([x, y, np.column_stack([x, y]) @ up]), np.ones(x.size, dtype=bool))
     plan = np.column_stack([np.linspace(-1.5, 1.5, 4), np.linspace(-0.5, 0.5, 4)])
     path = np.column_stack([plan, plan @ up])
-    space = dataclasses.replace(ramp.free_space("human"), trees=(Places(build_tree(FAR)),))
+    space = ramp.free_space("human")
+    level = dataclasses.replace(space.levels[0], places=Places(build_tree(FAR)))
+    space = dataclasses.replace(space, levels=(level,))
     high = space.agent.height / np.cos(0.35) - space.agent.height
     assert high > 0.1
     found = certificate_of(space, path, high)
@@ -270,25 +273,24 @@ def test_what_is_wrong_on_one_level_is_wrong_of_the_whole_way(floor, bad):
     """Two levels that are alike, of which one has a hole, a step, a slope, a low obstacle under the way."""
     space, path = floor.free_space("human"), np.column_stack([np.linspace(-1.0, 1.0, 9), np.zeros((9, 2))])
     level = np.repeat([0, 1], [5, 4])
-    base, zero = space.surfaces[0], np.zeros(space.surfaces[0].state.shape)
+    base, zero = space.levels[0].surface, np.zeros(space.levels[0].surface.state.shape)
     nowhere = HeightMap(base.origin, base.cell_width, base.height, np.zeros_like(base.state))
-    good = {"surfaces": base, "steps": zero, "slopes": zero, "trees": Places(build_tree(FAR))}
-    alike = "ground_fields", "obstacle_fields", "noticed", "standing", "moving"
-    same = {key: (one, one) for key, one in good.items()} | {key: 2 * getattr(space, key) for key in alike}
+    good = dataclasses.replace(space.levels[0], steps=zero, slopes=zero, places=Places(build_tree(FAR)))
     wrong = {
-        "surfaces": nowhere,
+        "surface": nowhere,
         "steps": zero + 0.9,
         "slopes": zero + 0.9,
-        "trees": Places(build_tree(np.zeros((1, 2)))),
+        "places": Places(build_tree(np.zeros((1, 2)))),
     }
-    reasons = {"surfaces": "known ground", "steps": "step of 0.90", "slopes": "slope of 52°", "trees": "an obstacle"}
+    reasons = {"surface": "known ground", "steps": "step of 0.90", "slopes": "slope of 52°", "places": "an obstacle"}
     top = path + np.array([0.0, 0.0, space.agent.height])
     for name, reason in reasons.items():
-        both = (wrong[name], good[name]) if bad == 0 else (good[name], wrong[name])
-        found = certify(dataclasses.replace(space, **same | {name: both}), top, path, level)
+        levels = [good, good]
+        levels[bad] = dataclasses.replace(good, **{name: wrong[name]})
+        found = certify(dataclasses.replace(space, levels=tuple(levels)), top, path, level)
         assert reason in found.reason, (name, found.reason)
         assert not found.holds
     off = np.where(level == bad, 0.1, 0.0)[:, None] * np.array([0.0, 0.0, 1.0])
-    found = certify(dataclasses.replace(space, **same), top + off, path, level)
+    found = certify(dataclasses.replace(space, levels=(good, good)), top + off, path, level)
     assert found.max_height_deviation == pytest.approx(0.1, abs=FLAT)
     assert found.ground_spacing == pytest.approx(base.cell_width)

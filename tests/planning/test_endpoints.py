@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
-from gpdf_service.planning.endpoints import Endpoint, Refusal, connect_at, find_endpoint, find_ends
+from gpdf_service.planning.endpoints import Endpoint, Refusal, connect, find_endpoint, find_ends
 from gpdf_service.synthetic import Box, World
 from gpdf_service.types import AGENTS, PlanOptions, Status
 
@@ -111,19 +111,19 @@ def test_the_room_that_noise_asks_for_is_named_where_it_is_what_a_body_does_not_
 
 def assert_nearest_clear(space, place, leaf):
     """It is clear from the place to the leaf's centre, and to that of no free leaf that is nearer."""
-    tree = space.quadtrees[0]
+    tree = space.levels[0].quadtree
     reached = tree.origin + (tree.corner + 0.5 * tree.size[:, None]) * tree.width
     line = place + np.linspace(0.0, 1.0, 200)[:, None] * (reached[leaf] - place)
-    assert space.clearance(0, line)[0].min() > space.reach - 0.0021
+    assert space.levels[0].clearance(line)[0].min() > space.reach - 0.0021
     gap = np.linalg.norm(reached - place, axis=1) - 0.5 * tree.size * tree.width
-    radius = min(space.radius, max(space.reach, space.clearance(0, place[None])[0][0] - 0.002))
+    radius = min(space.radius, max(space.reach, space.levels[0].clearance(place[None])[0][0] - 0.002))
     for nearer in reached[tree.free & (gap < gap[leaf] - 1e-9)]:
         line = place + np.linspace(0.0, 1.0, 200)[:, None] * (nearer - place)
-        assert space.clearance(0, line)[0].min() < radius + 0.005
+        assert space.levels[0].clearance(line)[0].min() < radius + 0.005
 
 
 def test_the_leaf_to_go_on_from_is_free_and_reached_on_a_clear_line(space):
-    tree = space.quadtrees[0]
+    tree = space.levels[0].quadtree
     met = 0
     for place in np.random.default_rng(2).uniform((0.3, 0.3), (7.7, 5.7), (2000, 2)):
         if not HUMAN.radius < room_at(place)[0] < 1.5 * HUMAN.radius:
@@ -131,7 +131,7 @@ def test_the_leaf_to_go_on_from_is_free_and_reached_on_a_clear_line(space):
         found = find_endpoint(space, place, "start")
         if isinstance(found, Refusal):
             continue
-        leaf = found.node - space.offsets[found.level]
+        leaf = found.node - space.levels[found.level].offset
         assert tree.free[leaf]
         low = tree.origin + tree.corner[leaf] * tree.width
         if (low <= place).all() and (place <= low + tree.width * tree.size[leaf]).all() and tree.whole[leaf]:
@@ -142,24 +142,24 @@ def test_the_leaf_to_go_on_from_is_free_and_reached_on_a_clear_line(space):
 
 
 def test_a_way_goes_on_from_a_place_exactly_where_the_body_fits(space):
-    tree, met = space.quadtrees[0], {True: 0, False: 0}
+    tree, met = space.levels[0].quadtree, {True: 0, False: 0}
     rng, places = np.random.default_rng(5), []
     for side in range(4):  # of the block, and as far off as the body needs it
         along, off = rng.uniform(-0.45, 0.45, 200), 0.5 + space.reach + rng.uniform(-0.02, 0.02, 200)
         turned = np.column_stack([along, off] if side % 2 else [off, along])
         places.append(np.mean(BLOCK, axis=0) + (turned if side < 2 else -turned))
     for place in np.concatenate(places):
-        leaf, node = tree.find_one(place), connect_at(space, 0, place)
+        leaf, node = tree.find_one(place), connect(space, 0, place)
         if leaf >= 0 and tree.whole[leaf]:
-            assert node == leaf + space.offsets[0]
+            assert node == leaf + space.levels[0].offset
             continue
-        fits = space.clearance(0, place[None])[0][0] - space.reach
+        fits = space.levels[0].clearance(place[None])[0][0] - space.reach
         if abs(fits) > 0.0021:  # what the room is told with
             met[bool(fits > 0.0)] += 1
             if fits < 0.0:
                 assert node == -1
             else:
-                assert_nearest_clear(space, place, node - space.offsets[0])
+                assert_nearest_clear(space, place, node - space.levels[0].offset)
     assert min(met.values()) >= 10
 
 

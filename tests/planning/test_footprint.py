@@ -15,7 +15,7 @@ from gpdf_service.planning.costs import Discs, Task, make_memo, obstacle_cost
 from gpdf_service.planning.footprint import disc_places, face, travel_headings
 from gpdf_service.planning.turning import time_poses
 from gpdf_service.search.lattice import find_poses
-from gpdf_service.search.motion import CENTRE, is_motion_clear
+from gpdf_service.search.motion import is_motion_clear
 from gpdf_service.synthetic import Box, Pillar, World, random_room
 from gpdf_service.types import AGENTS
 
@@ -174,7 +174,7 @@ def test_the_certificate_bounds_what_a_fine_sampling_of_the_turning_body_finds(o
         t = np.linspace(0.0, 3.0, 4000)
         fine = np.column_stack([np.interp(t, range(4), column) for column in poses.T])
         discs = np.vstack([disc_places(fine, offset) for offset in SPOT.offsets])
-        least = space.clearance(0, discs)[0].min()
+        least = space.levels[0].clearance(discs)[0].min()
         assert bound <= least + 1e-9
         assert least - bound < 0.004
         assert np.linalg.norm(discs - where, axis=1).min() < 0.01
@@ -198,9 +198,9 @@ def test_a_motion_is_clear_exactly_when_a_fine_sampling_of_it_is(office):
     for _ in range(300):
         a = rng.uniform([0.5, 0.5, -3.0], [5.5, 4.5, 3.0])
         b = a + rng.normal(size=3) * [0.1, 0.1, 0.5]
-        clear = is_motion_clear(space.trees[0], a, b, SPOT.offsets, SPOT.disc_radius)
+        clear = is_motion_clear(space.levels[0].places, a, b, SPOT.offsets, SPOT.disc_radius)
         fine = a + np.linspace(0.0, 1.0, 300)[:, None] * (b - a)
-        least = min(space.clearance(0, disc_places(fine, o))[0].min() for o in SPOT.offsets) - SPOT.disc_radius
+        least = min(space.levels[0].clearance(disc_places(fine, o))[0].min() for o in SPOT.offsets) - SPOT.disc_radius
         if abs(least) > 0.003:
             assert clear == (least > 0)
             seen.add(clear)
@@ -216,13 +216,13 @@ def test_poses_are_found_from_end_to_end_facing_as_asked(ends):
         np.stack([start[:2], goal[:2]]),
         (start[2] if ends[0] == 3 else None, goal[2] if ends[1] == 3 else None),
     )
-    found = find_poses(space.trees[0], space.surfaces[0], way, facing, SPOT.offsets, space.radius)
+    found = find_poses(space.levels[0].places, space.levels[0].surface, way, facing, SPOT.offsets, space.radius)
     assert found.reached
     np.testing.assert_allclose(found.poses[0, : ends[0]], start, atol=1e-9)
     off = found.poses[-1, : ends[1]] - goal
     np.testing.assert_allclose([*off[:2], *np.sin(off[2:] / 2)], 0.0, atol=1e-9)
     for a, b in zip(found.poses[:-1], found.poses[1:], strict=True):
-        assert is_motion_clear(space.trees[0], a, b, SPOT.offsets, space.radius)
+        assert is_motion_clear(space.levels[0].places, a, b, SPOT.offsets, space.radius)
 
 
 def test_room_that_is_wanted_to_the_last_bit_costs_nothing():
@@ -236,13 +236,13 @@ def test_room_that_is_wanted_to_the_last_bit_costs_nothing():
         sample_at(field, (middle, 0.0, 0.0), scratch, slope, radius + room)
         low, high = (low, middle) if np.isnan(slope[0]) else (middle, high)
     xi, gradient = np.array([[high, y, 0.0] for y in (-0.1, 0.0, 0.1)]), np.zeros((3, 3))
-    assert cost_of(xi, 0.1, field, Discs(CENTRE, radius), room, gradient) == 0.0
+    assert cost_of(xi, 0.1, field, Discs(np.zeros(1), radius), room, gradient) == 0.0
     np.testing.assert_array_equal(gradient, 0.0)
 
 
 def test_the_obstacle_cost_falls_along_its_gradient_as_finite_differences_say(office):
     _, scene = office
-    field, discs = scene.free_space(SPOT).obstacle_fields[0].arrays, Discs(SPOT.offsets, SPOT.disc_radius)
+    field, discs = scene.free_space(SPOT).levels[0].obstacle_field.arrays, Discs(SPOT.offsets, SPOT.disc_radius)
     xi = np.column_stack([np.linspace(1.2, 3.4, 12), np.full(12, 1.0), np.full(12, 0.7)])
     spacing, gradient = 0.2, np.zeros_like(xi)
     assert cost_of(xi, spacing, field, discs, 0.6, gradient) > 0
@@ -258,10 +258,10 @@ def test_the_obstacle_cost_falls_along_its_gradient_as_finite_differences_say(of
 
 def test_one_disc_at_the_centre_costs_what_a_cylinder_costs_whatever_its_heading(office):
     _, scene = office
-    field = scene.free_space("human").obstacle_fields[0].arrays
+    field = scene.free_space("human").levels[0].obstacle_field.arrays
     xi = np.column_stack([np.linspace(1.2, 3.4, 12), np.linspace(1.0, 1.6, 12), np.full(12, 2.0)])
     gradient = np.zeros_like(xi)
-    cost = cost_of(xi, 0.2, field, Discs(CENTRE, 0.25), 0.5, gradient)
+    cost = cost_of(xi, 0.2, field, Discs(np.zeros(1), 0.25), 0.5, gradient)
     d = scene.obstacle_field("human").query(xi[1:-1, :2]).distance - 0.25
     c = np.where(d < 0, 0.25 - d, np.where(d < 0.5, (d - 0.5) ** 2 / 1.0, 0.0))
     assert cost == pytest.approx((c * 0.5 * np.linalg.norm(xi[2:, :2] - xi[:-2, :2], axis=1)).sum())

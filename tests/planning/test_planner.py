@@ -15,7 +15,6 @@ from gpdf_service.planning.chomp import Stop, Wants, optimize, solve_banded
 from gpdf_service.planning.costs import Discs
 from gpdf_service.planning.routes import Leg
 from gpdf_service.planning.shape import resample
-from gpdf_service.search.motion import CENTRE
 from gpdf_service.synthetic import SCENES, Box, World, random_room
 from gpdf_service.types import AGENTS
 from tests.clients.two_storeys import make_house
@@ -226,7 +225,7 @@ def test_the_certificate_is_a_lower_bound_of_what_a_fine_sampling_finds(office):
     for _ in range(20):
         path = rng.uniform([0.5, 0.5], [5.5, 4.5], (5, 2))
         bound, where = min_distance(space, 0, path)
-        fine = space.clearance(0, resample(path, 0.001))[0].min()
+        fine = space.levels[0].clearance(resample(path, 0.001))[0].min()
         assert bound <= fine + 1e-9
         assert fine - bound < 0.003
         assert np.linalg.norm(resample(path, 0.001) - where, axis=1).min() < 0.01
@@ -245,8 +244,8 @@ def test_chomp_never_raises_the_cost_and_lowers_it(office):
     _, scene = office
     space = scene.free_space("human")
     xi = np.column_stack([np.linspace(0.8, 4.5, 40), np.linspace(0.8, 2.2, 40), np.full(40, 1.9)])
-    fields = space.obstacle_fields[0].arrays, space.ground_fields[0].arrays
-    found = optimize(xi.copy(), fields, Discs(CENTRE, 0.25), Wants(2.0, 0.25, 0.0, 0.1), Stop(100, 1e-4))
+    fields = space.levels[0].obstacle_field.arrays, space.levels[0].ground_field.arrays
+    found = optimize(xi.copy(), fields, Discs(np.zeros(1), 0.25), Wants(2.0, 0.25, 0.0, 0.1), Stop(100, 1e-4))
     assert (np.diff(found.costs) <= 0).all()
     assert found.costs[-1] < 0.97 * found.costs[0]
     np.testing.assert_array_equal(found.xi[[0, -1]], xi[[0, -1]])
@@ -257,9 +256,9 @@ def test_chomp_comes_to_rest_for_any_radius(office):
     _, scene = office
     space, rng = scene.free_space("human"), np.random.default_rng(5)
     xi = np.column_stack([np.linspace(0.8, 4.5, 40), np.linspace(0.8, 2.2, 40), np.full(40, 1.9)])
-    fields = space.obstacle_fields[0].arrays, space.ground_fields[0].arrays
+    fields = space.levels[0].obstacle_field.arrays, space.levels[0].ground_field.arrays
     for radius in rng.uniform(0.15, 0.35, 60):
-        found = optimize(xi.copy(), fields, Discs(CENTRE, radius), Wants(2.0, 0.25, 0.0, 0.1), Stop(100, 1e-4))
+        found = optimize(xi.copy(), fields, Discs(np.zeros(1), radius), Wants(2.0, 0.25, 0.0, 0.1), Stop(100, 1e-4))
         assert found.converged, radius
         assert np.isfinite(found.xi).all()
         assert found.costs[-1] < found.costs[0]
@@ -268,10 +267,10 @@ def test_chomp_comes_to_rest_for_any_radius(office):
 def test_waypoints_do_not_wait_for_one_that_has_far_to_go():
     points, ground = World((20.0, 6.0, 2.5), (), ceiling=False).sample(0.1, np.random.default_rng(0))
     space = gpdf.build_scene(points, ground).free_space("human")
-    fields = space.obstacle_fields[0].arrays, space.ground_fields[0].arrays
+    fields = space.levels[0].obstacle_field.arrays, space.levels[0].ground_field.arrays
     x = np.linspace(1.0, 19.0, 97)
     y = np.where(x < 12.0, 0.3, 0.3 + 4.0 * np.sin(np.pi * (x - 12.0) / 7.0))  # along a wall, then far aside
-    given = Discs(CENTRE, 0.25), Wants(2.0, 0.25, 0.0, 0.19)
+    given = Discs(np.zeros(1), 0.25), Wants(2.0, 0.25, 0.0, 0.19)
     seed = np.column_stack([x, y, np.full(97, 2.0)])
     rest, soon = (optimize(seed.copy(), fields, *given, Stop(most, 1e-4)).xi for most in (100, 3))
     assert np.ptp(rest[x > 12.0, 1]) < 0.3 < np.ptp(soon[x > 12.0, 1])
@@ -351,13 +350,13 @@ def test_a_body_leaves_a_place_where_it_just_fits(office, spare):
     scene, rng = office[1], np.random.default_rng(1)
     space = scene.free_space("human")
     places = rng.uniform([0.3, 0.3], [5.7, 4.7], (400, 2))
-    room = space.clearance(0, places)[0] - space.reach
+    room = space.levels[0].clearance(places)[0] - space.reach
     inside, outside = places[(room < 0.0) & (room > -0.1)], places[room > 0.1]
     assert len(inside) > 11
     for a in inside[:12]:
         b = outside[np.linalg.norm(outside - a, axis=1).argmin()]
         line = a + np.linspace(0.0, 1.0, 20_001)[:, None] * (b - a)
-        just = line[np.abs(space.clearance(0, line)[0] - space.reach - spare).argmin()]
+        just = line[np.abs(space.levels[0].clearance(line)[0] - space.reach - spare).argmin()]
         result = gpdf.plan(scene, just, b, "human")
         assert result.status is gpdf.Status.OK, result.message
         assert result.certificate.min_clearance >= 0.0
@@ -368,14 +367,14 @@ def test_a_place_where_nothing_can_be_proven_of_a_way_is_refused_and_no_way_is_l
     scene, rng = office[1], np.random.default_rng(1)
     space = scene.free_space("human")
     places = rng.uniform([0.3, 0.3], [5.7, 4.7], (400, 2))
-    room = space.clearance(0, places)[0] - space.reach
+    room = space.levels[0].clearance(places)[0] - space.reach
     inside, outside = places[(room < 0.0) & (room > -0.1)][:6], places[room > 0.1]
     for a in inside:
         b = outside[np.linalg.norm(outside - a, axis=1).argmin()]
         low, high = 0.0, 1.0
         while high - low > 1e-9:
             middle = 0.5 * (low + high)
-            spare = space.clearance(0, (a + middle * (b - a))[None])[0][0] - space.reach
+            spare = space.levels[0].clearance((a + middle * (b - a))[None])[0][0] - space.reach
             low, high = (middle, high) if spare < 5e-6 else (low, middle)
         assert gpdf.plan(scene, a + high * (b - a), b, "human").status is gpdf.Status.START_OCCUPIED
 

@@ -9,11 +9,10 @@ import pytest
 
 import gpdf_service as gpdf
 from gpdf_service.config import PlanningConfig
-from gpdf_service.planning import footprint, planner
+from gpdf_service.planning import footprint, planner, routes
 from gpdf_service.planning.chomp import ChompResult
 from gpdf_service.planning.routes import Leg
-from gpdf_service.search import Prefer
-from gpdf_service.search.ways import STEPPED, WIDE, prices
+from gpdf_service.search.ways import STEPPED, WIDE, Prefer, prices
 from gpdf_service.synthetic import Box, World
 from gpdf_service.types import AGENTS
 
@@ -167,7 +166,7 @@ def test_one_piece_is_bent_and_then_strictly(room, bends):
 def test_what_would_take_more_steps_as_one_is_bent_apart_and_stays_if_it_still_would(room, bends, monkeypatch):
     space = room.free_space("human")
     legs = two_legs(space)
-    monkeypatch.setattr(planner, "_as_level", lambda *_: False)
+    monkeypatch.setattr(planner, "is_as_level", lambda *_: False)
     tried = list(planner._tries(task_of(space), legs))
     assert [len(parts) for parts in tried] == [2, 2]
     assert [strict for _, strict, _ in bends] == [False, False, False, True, True]
@@ -235,15 +234,15 @@ def test_strictly_bent_a_piece_keeps_the_margin_of_the_search(room):
     for strict, least in ((False, 0.0), (True, space.radius - 1e-3)):
         bent, run = planner._bend(round_box, CONFIG, strict, np.inf)
         assert run.converged
-        assert space.clearance(0, bent.path)[0].min() >= least
+        assert space.levels[0].clearance(bent.path)[0].min() >= least
         gaps = np.linalg.norm(np.diff(bent.path, axis=0), axis=1)
         assert gaps.max() <= 1.05 * CONFIG.waypoint_spacing
 
 
 def test_strictly_there_is_a_wall_as_far_off_as_what_a_chord_cuts_from_a_turn(room, monkeypatch):
     space, asked = room.free_space("human"), []
-    bend = planner.bend_on
-    monkeypatch.setattr(planner, "bend_on", lambda *args: asked.append(args) or bend(*args))
+    bend = planner.bend
+    monkeypatch.setattr(planner, "bend", lambda *args: asked.append(args) or bend(*args))
     for strict in (False, True):
         planner._bend(two_legs(space)[0], CONFIG, strict, np.inf)
     assert [bent_by[0][0].standing.weights.any() for _, _, bent_by, _ in asked] == [True, False]  # the GPDF, the points
@@ -264,9 +263,9 @@ def test_the_top_is_as_high_over_the_contact_as_the_body(room):
 
 def test_bending_keeps_the_steps_of_the_seed_but_for_a_diagonal(monkeypatch):
     for seed, bent, level in (((0.2, 0), (0.24, 0), True), ((0.3, 0.2), (0, 0.26), False), ((0.2, 0), (0.3, 0), False)):
-        taken = iter([np.array(bent), np.array(seed)])
-        monkeypatch.setattr(planner, "steps_of", lambda _, taken=taken: next(taken))
-        assert planner._as_level([], (None, None)) == level
+        taken = iter([bent, seed])
+        monkeypatch.setattr(routes, "steps_of", lambda _, taken=taken: next(taken))
+        assert routes.is_as_level([], [], planner.MORE_STEPS) == level
 
 
 def test_a_refusal_says_where_and_by_how_much_as_numbers(room):

@@ -24,7 +24,7 @@ def space():
         0.06, np.random.default_rng(0)
     )
     whole = gpdf.build_scene(points, ground).free_space("human")
-    surface = whole.surfaces[0]
+    surface = whole.levels[0].surface
     x = surface.origin[0] + (np.arange(surface.height.shape[0]) + 0.5) * surface.cell_width
 
     def only(kept):
@@ -32,9 +32,8 @@ def space():
         height[~kept], state[~kept] = np.nan, UNKNOWN
         return replace(surface, height=height, state=state)
 
-    names = "trees", "steps", "slopes", "noticed", "standing", "moving"
     surfaces = only(x < HELD[1]), only(x > HELD[0])
-    return replace(whole, surfaces=surfaces, **{name: getattr(whole, name) * 2 for name in names})
+    return replace(whole, levels=tuple(replace(whole.levels[0], surface=one) for one in surfaces))
 
 
 def legs_of(space, *paths):
@@ -94,8 +93,9 @@ def test_pieces_that_do_not_meet_at_a_portal_are_bent_each_by_itself(space):
 
 
 def test_where_the_levels_hold_no_same_ground_the_pieces_meet_where_they_met(space):
-    lower = space.surfaces[0]
-    apart = replace(space, surfaces=(replace(lower, height=lower.height - 0.5), space.surfaces[1]))
+    lower, upper = space.levels
+    deeper = replace(lower.surface, height=lower.surface.height - 0.5)
+    apart = replace(space, levels=(replace(lower, surface=deeper), upper))
     bowed = legs_of(apart, [(0.6, 2.0), (2.5, 2.9)], [(2.5, 2.9), (4.4, 2.0)])
     assert pull_over(bowed, meet, SPACING) == bowed
     (one, _), (other, _) = bend_over([[leg] for leg in bowed], meet, SPACING, straight)

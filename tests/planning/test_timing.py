@@ -118,12 +118,12 @@ def test_the_speed_is_that_of_the_disc_in_the_tightest_place_and_on_steps(discs)
     agent = dataclasses.replace(AGENTS["spot"], discs=discs)
     space = scene.free_space(agent)
     poses = rng.uniform((0.3, 0.3, -np.pi), (5.7, 2.7, np.pi), (300, 3))
-    cells = int(np.ceil(agent.radius / space.surfaces[0].cell_width))
+    cells = int(np.ceil(agent.radius / space.levels[0].surface.cell_width))
     expected = np.ones(len(poses))
     for offset in agent.offsets:
         xy = poses[:, :2] + offset * np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
-        room = np.clip((space.clearance(0, xy)[0] - space.reach) / preferred, 0.0, 1.0)
-        stepped = [is_stepped(space.surfaces[0].arrays, space.noticed[0], x, y, cells) for x, y in xy]
+        room = np.clip((space.levels[0].clearance(xy)[0] - space.reach) / preferred, 0.0, 1.0)
+        stepped = [is_stepped(space.levels[0].surface.arrays, space.levels[0].noticed, x, y, cells) for x, y in xy]
         expected = np.minimum(expected, np.where(stepped, CARE, CARE + (1.0 - CARE) * room))
     contact, level = poses * [1.0, 1.0, 0.0], np.zeros(len(poses), dtype=np.int64)
     found = speed_limit(space, contact, poses[:, 2], level, preferred)[0]

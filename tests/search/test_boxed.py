@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numba import njit
 
-from gpdf_service.search.boxed import boxed
-from gpdf_service.search.ways import Fields, Prefer, fields_of, here
+from gpdf_service.search.ways import Fields, Prefer, boxed, fields_of, here
 
 
 @njit

@@ -2,10 +2,9 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
-from gpdf_service.search import find_path
 from gpdf_service.search.core import NARROW, climb, find_core, find_nodes, links_of, search_in
 from gpdf_service.search.free_space import core_of
-from gpdf_service.search.graph import assemble, price_pairs
+from gpdf_service.search.graph import assemble, find_path, price_pairs
 from gpdf_service.search.quadtree import MIN_WIDTH
 from gpdf_service.synthetic import Box, World
 from gpdf_service.tiles.nodes import components
@@ -17,11 +16,11 @@ def space(office):
 
 
 def half_size(space):
-    return np.concatenate([tree.half_size for tree in space.quadtrees])
+    return np.concatenate([own.quadtree.half_size for own in space.levels])
 
 
 def test_what_was_joined_stays_joined_and_nothing_else_is(space):
-    core, free = space.core, np.concatenate([tree.free for tree in space.quadtrees])
+    core, free = space.core, np.concatenate([own.quadtree.free for own in space.levels])
     assert len(core.node) < 0.5 * free.sum()
     assert (free & (2.0 * half_size(space) >= NARROW) <= np.isin(np.arange(len(free)), core.node)).all()
     row = np.repeat(np.arange(len(core.node)), np.diff(core.graph.first))
@@ -32,7 +31,7 @@ def test_what_was_joined_stays_joined_and_nothing_else_is(space):
 
 
 def test_from_every_free_leaf_edges_lead_up_to_the_core_of_its_own_component(space):
-    free = np.flatnonzero(np.concatenate([tree.free for tree in space.quadtrees]))
+    free = np.flatnonzero(np.concatenate([own.quadtree.free for own in space.levels]))
     for leaf in np.random.default_rng(0).choice(free, 100):
         nodes, edges = climb(space.graph, space.core, int(leaf))
         assert np.isin(nodes, space.core.node).tolist() == [False] * len(edges) + [True]
@@ -42,7 +41,7 @@ def test_from_every_free_leaf_edges_lead_up_to_the_core_of_its_own_component(spa
 
 def test_a_way_over_the_core_is_one_of_the_graph_and_little_longer_than_the_cheapest(space):
     graph, rng = space.graph, np.random.default_rng(1)
-    free = np.flatnonzero(np.concatenate([tree.free for tree in space.quadtrees]))
+    free = np.flatnonzero(np.concatenate([own.quadtree.free for own in space.levels]))
     largest = np.bincount(graph.component[free]).argmax()
     spent, least = 0.0, 0.0
     for start, goal in rng.choice(free[graph.component[free] == largest], (30, 2)):
@@ -72,7 +71,7 @@ def test_a_narrow_passage_keeps_a_chain_of_leaves():
 def test_no_leaf_is_finer_than_a_fifth_of_a_cell_of_the_ground(spacing):
     x, y = np.meshgrid(np.arange(0.0, 8.0, spacing), np.arange(0.0, 8.0, spacing))
     scene = gpdf.build_scene(np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]), np.ones(x.size, dtype=bool))
-    width = scene.free_space("human").quadtrees[0].width
+    width = scene.free_space("human").levels[0].quadtree.width
     assert width == pytest.approx(max(MIN_WIDTH, 0.2 * scene.surfaces[0].cell_width))
     assert (width > 1.001 * MIN_WIDTH) == (spacing > 0.1)
 
@@ -86,7 +85,7 @@ def test_what_is_decided_again_after_a_change_is_what_is_decided_on_the_whole(of
         box = place + rng.uniform((-0.2, -0.2, 0.0), (0.2, 0.2, 0.5), (300, 3))
         scene = scene.update(box, gone[scene.points[gone, 2] > place[2] + 0.05])
         changed = scene.free_space("roomba")
-        whole = core_of(changed.quadtrees, changed.graph)
+        whole = core_of(changed.levels, changed.graph)
         assert (changed.core.node == whole.node).all()
         assert (changed.core.edge == whole.edge).all()
         assert (changed.core.decided.up == whole.decided.up).all()

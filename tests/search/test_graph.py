@@ -118,7 +118,7 @@ def test_a_graph_has_every_edge_from_both_ends_with_its_price_and_its_component(
 
 def rows_of(graph, node):
     """Number, far end and cost of each edge of a node."""
-    numbers = range(*edges_of(graph.first, np.asarray(graph.first[-1:]).repeat(graph.first[-1]), graph.patch, node))
+    numbers = range(*edges_of(graph.net, node))
     return [(e, int(graph.other[e]), float(graph.cost[e])) for e in numbers]
 
 

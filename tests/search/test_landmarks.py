@@ -7,9 +7,9 @@ import pytest
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from gpdf_service.search import Doors, Prefer, find_way
-from gpdf_service.search.graph import Graph
+from gpdf_service.search.graph import Doors, Graph, find_way
 from gpdf_service.search.landmarks import NO_LANDMARKS, at_least, bounds_to, find_landmarks, flood
+from gpdf_service.search.ways import Prefer
 
 
 def matrix_of(graph):

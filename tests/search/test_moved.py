@@ -6,11 +6,12 @@ import pytest
 import gpdf_service as gpdf
 from gpdf_service.fields import build_tree
 from gpdf_service.planning import plan_path
-from gpdf_service.search import Prefer, build_quadtree, find_ways
-from gpdf_service.search.free_space import LevelSpace, Setup, fit_obstacle_field, join_levels
+from gpdf_service.search.free_space import Setup, fit_obstacle_field, join_levels, level_space
 from gpdf_service.search.graph import find_edges
 from gpdf_service.search.layered import Layered
 from gpdf_service.search.places import Places
+from gpdf_service.search.quadtree import build_quadtree
+from gpdf_service.search.ways import Prefer, find_ways
 from gpdf_service.synthetic import SCENES
 from gpdf_service.types import AGENTS
 from tests.clients.two_storeys import make_house
@@ -34,7 +35,7 @@ def door(foot, rng):
 
 def pen(scene, agent, rng):
     """A fence around the place with the most room, which parts it from the rest."""
-    tree, surface = scene.free_space(agent).quadtrees[0], scene.surfaces[0]
+    tree, surface = scene.free_space(agent).levels[0].quadtree, scene.surfaces[0]
     row = np.where(tree.whole, tree.clearance, 0.0).argmax()
     foot = np.append(tree.center[row], surface.height_at(tree.center[row][None]))
     return cylinder(foot, 0.7 * tree.clearance[row], 1.8, rng, 1500)
@@ -70,19 +71,20 @@ def from_scratch(space, scene):
     """All of the free space made of what stands and moves together."""
     parts = []
     for i, level in enumerate(scene.levels.levels):
-        surface, both = level.surface, space.obstacles[i]
+        surface, both = level.surface, space.levels[i].obstacles
         tree = build_tree(both.points[:, :2])
         quadtree = build_quadtree(surface, tree, space.radius)
         edges = find_edges(quadtree, Places(tree), space.radius)
         field = fit_obstacle_field(both, surface, space.agent, Setup(scene.config.search, scene.config.fields))
-        parts.append(LevelSpace(surface, space.ground_fields[i], level.measured, both, tree, field, quadtree, edges))
+        parts.append(level_space(level, space.levels[i].ground_field, both, tree, field, quadtree, edges))
     return join_levels(space.agent, space.reach, space.radius, parts, scene.levels)
 
 
 def leaves_of(space):
     """Number in the graph of every free leaf by its level, corner and size, and what is known of it."""
     names, facts = {}, {}
-    for level, (tree, offset) in enumerate(zip(space.quadtrees, space.offsets, strict=True)):
+    for level, own in enumerate(space.levels):
+        tree, offset = own.quadtree, own.offset
         free = tree.numbers[tree.free[tree.numbers]]
         rows = zip(tree.corner[free].tolist(), tree.size[free].tolist(), strict=True)
         for leaf, (corner, size) in zip(free.tolist(), rows, strict=True):
@@ -135,12 +137,12 @@ def assert_equal_fields(scene, ours, theirs, rng):
     for level, surface in enumerate(scene.surfaces):
         high = np.array(surface.height.shape) * surface.cell_width
         xy = surface.origin + rng.uniform(0.0, 1.0, (500, 2)) * high
-        (mine, kind), (other, their_kind) = ours.clearance(level, xy), theirs.clearance(level, xy)
+        (mine, kind), (other, their_kind) = ours.levels[level].clearance(xy), theirs.levels[level].clearance(xy)
         np.testing.assert_allclose(mine, other, atol=1e-12)
         assert (kind == their_kind).mean() > 0.99  # two kinds may be as near
-        a, b = ours.obstacle_fields[level].query(xy), theirs.obstacle_fields[level].query(xy)
+        a, b = ours.levels[level].obstacle_field.query(xy), theirs.levels[level].obstacle_field.query(xy)
         np.testing.assert_array_equal(a.valid, b.valid)
-        spacing = ours.obstacle_fields[level].standing.spacing
+        spacing = ours.levels[level].obstacle_field.standing.spacing
         assert (a.distance[a.valid] <= mine[a.valid] + 2.0 * spacing).all()
         assert np.abs(a.distance - b.distance).max() <= 2.0 * spacing
         assert np.median(np.abs(a.distance - b.distance)) <= 1e-3
@@ -184,7 +186,7 @@ def test_random_changes_equal_a_free_space_from_scratch(where, agent, request):
             assert result.certificate.holds
             assert mine.certificate.min_clearance == pytest.approx(again.certificate.min_clearance, abs=0.05)
             body = np.repeat(result.trajectory.ground, 5, axis=0)[:, :2]
-            room_there = np.max([theirs.clearance(level, body)[0] for level in range(len(scene.surfaces))], axis=0)
+            room_there = np.max([own.clearance(body)[0] for own in theirs.levels], axis=0)
             assert room_there.min() >= AGENTS[agent].radius - 1e-6
     assert len(set(statuses)) > 1
     assert torn > 0
@@ -212,7 +214,7 @@ def prices_of(ways):
 def has_two_nearest(ways, leaf):
     """Whether obstacles of two kinds are as near to a leaf's centre, so that either can be told."""
     k, (level, x, y, size) = leaf
-    tree, both = ways.spaces[k].quadtrees[level], ways.spaces[k].obstacles[level]
+    tree, both = ways.spaces[k].levels[level].quadtree, ways.spaces[k].levels[level].obstacles
     far = np.linalg.norm(both.points[:, :2] - tree.origin - (np.array([x, y]) + 0.5 * size) * tree.width, axis=1)
     return len(np.unique(both.kind[far <= far.min() + 1e-9])) > 1
 
@@ -249,15 +251,15 @@ def test_what_touches_no_leaf_leaves_the_ways_as_they_were(house):
 
 def test_where_nothing_was_free_nothing_changes_and_where_all_is_full_nothing_is_free(room):
     standing = room.free_space("roomba")
-    inside = standing.obstacles[0].points[:1]
+    inside = standing.levels[0].obstacles.points[:1]
     nothing = room.with_obstacles(inside + np.array([0.0, 0.0, 0.001])).free_space("roomba")
     assert nothing.graph.component[0] == standing.graph.component[0]
     surface = room.surfaces[0]
     everywhere = surface.centres(surface.state > 0) + np.array([0.0, 0.0, 0.05])
     full = room.with_obstacles(everywhere)
     space = full.free_space("roomba")
-    leaf = space.quadtrees[0].find(everywhere[:, :2])
-    assert not (space.quadtrees[0].free[leaf] & (leaf >= 0)).any()
-    assert len(space.quadtrees[0].fresh.size) == 0
+    leaf = space.levels[0].quadtree.find(everywhere[:, :2])
+    assert not (space.levels[0].quadtree.free[leaf] & (leaf >= 0)).any()
+    assert len(space.levels[0].quadtree.fresh.size) == 0
     assert gpdf.plan(full, (1.0, 1.0), (5.0, 3.0), "roomba").status is gpdf.Status.START_OCCUPIED
     assert len(full.ways("human", Prefer.COMPANION).graph.position) == 0

@@ -13,7 +13,8 @@ from tests.clients.two_storeys import make_house
 def plain(space, place, off, component):
     """The same by brute force."""
     best, found = np.inf, None
-    for level, (tree, first) in enumerate(zip(space.quadtrees, space.offsets, strict=True)):
+    for own in space.levels:
+        tree, first = own.quadtree, own.offset
         leaves = tree.numbers[tree.free[tree.numbers]]
         if component is not None:
             leaves = leaves[space.graph.component[first + leaves] == component]
@@ -21,7 +22,7 @@ def plain(space, place, off, component):
         center = tree.origin + tree.corner[leaves] * tree.width + half
         room = np.where(tree.whole[leaves][:, None], half, 0.0)
         nearest = np.clip(place[:2], center - room, center + room)
-        z = space.surfaces[level].height_at(np.clip(place[:2], center - 0.999 * room, center + 0.999 * room))
+        z = own.surface.height_at(np.clip(place[:2], center - 0.999 * room, center + 0.999 * room))
         far = np.linalg.norm(nearest - place[:2], axis=1)
         good = np.isfinite(z) & ((np.abs(z - place[2]) <= off) if len(place) == 3 else True)
         if good.any() and far[good].min() < best:

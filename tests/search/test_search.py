@@ -5,9 +5,8 @@ from scipy.sparse.csgraph import dijkstra
 
 from gpdf_service.fields import build_tree, morton
 from gpdf_service.fields.tree import NO_POINTS
-from gpdf_service.search import find_path, is_clear
-from gpdf_service.search.graph import find_edges
-from gpdf_service.search.motion import CENTRE, least_distance
+from gpdf_service.search.graph import find_edges, find_path
+from gpdf_service.search.motion import is_clear, least_distance
 from gpdf_service.search.places import Places
 
 
@@ -17,7 +16,7 @@ def space(office):
 
 
 def test_leaves_tile_the_root(space):
-    tree = space.quadtrees[0]
+    tree = space.levels[0].quadtree
     side = round(float(np.sqrt((tree.size.astype(float) ** 2).sum())))
     assert side & (side - 1) == 0
     codes = tree.code
@@ -26,16 +25,16 @@ def test_leaves_tile_the_root(space):
 
 
 def test_a_free_leaf_is_free_and_a_whole_one_everywhere(space):
-    tree, rng = space.quadtrees[0], np.random.default_rng(0)
-    assert (space.clearance(0, tree.center[tree.free])[0] >= space.radius).all()
+    tree, rng = space.levels[0].quadtree, np.random.default_rng(0)
+    assert (space.levels[0].clearance(tree.center[tree.free])[0] >= space.radius).all()
     whole = np.flatnonzero(tree.whole)
     inside = tree.center[whole] + rng.uniform(-1, 1, (len(whole), 2)) * tree.half_size[whole, None]
-    assert (space.clearance(0, inside)[0] >= space.radius - 1e-9).all()
-    assert space.surfaces[0].contains(inside).all()
+    assert (space.levels[0].clearance(inside)[0] >= space.radius - 1e-9).all()
+    assert space.levels[0].surface.contains(inside).all()
 
 
 def test_every_place_finds_its_leaf(space):
-    tree, rng = space.quadtrees[0], np.random.default_rng(1)
+    tree, rng = space.levels[0].quadtree, np.random.default_rng(1)
     xy = tree.origin + rng.uniform(0, 5, (500, 2))
     leaf = tree.find(xy)
     assert (np.abs(xy - tree.center[leaf]) <= tree.half_size[leaf, None] + 1e-12).all()
@@ -58,11 +57,11 @@ def test_edges_are_symmetric_and_clear(space):
         a, via, b = graph.position[source[edge]], graph.via[edge], graph.position[graph.other[edge]]
         t = np.linspace(0, 1, 20)[:, None]
         line = np.vstack([a + t * (via - a), via + t * (b - via)])
-        assert (space.clearance(0, line)[0] >= space.radius - 1e-9).all()
+        assert (space.levels[0].clearance(line)[0] >= space.radius - 1e-9).all()
 
 
 def test_the_edges_of_some_leaves_are_those_of_all_that_have_one_of_them(space):
-    tree, obstacles = space.quadtrees[0], space.trees[0]
+    tree, obstacles = space.levels[0].quadtree, space.levels[0].places
     some = np.random.default_rng(4).random(len(tree.size)) < 0.01
     looking = np.flatnonzero(tree.free & tree.touching(some))
     pairs, via = find_edges(tree, obstacles, space.radius, looking, some.__getitem__)
@@ -78,7 +77,7 @@ def test_a_star_costs_what_dijkstra_costs(space):
     count = len(graph.position)
     source = np.repeat(np.arange(count), np.diff(graph.first))
     matrix = csr_matrix((graph.cost, (source, graph.other)), shape=(count, count))
-    nodes = np.flatnonzero(graph.component == np.bincount(graph.component[space.quadtrees[0].whole]).argmax())
+    nodes = np.flatnonzero(graph.component == np.bincount(graph.component[space.levels[0].quadtree.whole]).argmax())
     for start in rng.choice(nodes, 3):
         best = dijkstra(matrix, indices=int(start))
         for goal in rng.choice(nodes, 10):
@@ -88,12 +87,12 @@ def test_a_star_costs_what_dijkstra_costs(space):
 
 
 def test_a_segment_is_clear_exactly_when_a_fine_sampling_is(space):
-    rng, tree = np.random.default_rng(4), space.trees[0]
+    rng, tree = np.random.default_rng(4), space.levels[0].places
     seen = set()
     for _ in range(300):
         a, b = rng.uniform([0.3, 0.3], [5.7, 4.7], (2, 2))
         b = a + 0.3 * (b - a)
-        least = space.clearance(0, np.linspace(a, b, 400))[0].min()
+        least = space.levels[0].clearance(np.linspace(a, b, 400))[0].min()
         if abs(least - space.radius) > 0.002:
             clear = is_clear(tree, a, b, space.radius)
             assert clear == (least > space.radius)
@@ -102,7 +101,7 @@ def test_a_segment_is_clear_exactly_when_a_fine_sampling_is(space):
 
 
 def test_leaves_around_a_place_are_those_that_meet_the_square(space):
-    tree, rng = space.quadtrees[0], np.random.default_rng(5)
+    tree, rng = space.levels[0].quadtree, np.random.default_rng(5)
     for xy in tree.center[rng.integers(len(tree.size), size=20)] + rng.normal(0.0, 0.5, (20, 2)):
         gap = np.abs(tree.center - xy).max(axis=1) - tree.half_size
         found = np.sort(tree.within(xy, 0.3))
@@ -112,8 +111,8 @@ def test_leaves_around_a_place_are_those_that_meet_the_square(space):
 
 def test_the_room_at_one_place_is_what_the_clearance_of_many_says(space):
     xy = np.random.default_rng(6).uniform(0.0, 5.0, (100, 2))
-    distance, kind = space.clearance(0, xy)
-    found = [space.room(0, place) for place in xy]
+    distance, kind = space.levels[0].clearance(xy)
+    found = [space.levels[0].room(place) for place in xy]
     assert found == list(zip(distance.tolist(), kind.tolist(), strict=True))
 
 
@@ -131,7 +130,7 @@ def test_a_segment_and_a_polyline_know_their_distance_to_points_exactly(count):
         for one, two, least in zip(path[:-1], path[1:], distance, strict=True):
             assert is_clear(places, one, two, least - 1e-9)
             assert not is_clear(places, one, two, least + 1e-9)
-        least, where = least_distance(places, np.column_stack([path, np.zeros(80)]), CENTRE, 1e-3)
+        least, where = least_distance(places, np.column_stack([path, np.zeros(80)]), np.zeros(1), 1e-3)
         assert least == pytest.approx(distance.min(), abs=1e-9)
         assert np.linalg.norm(every - where, axis=1).min() == pytest.approx(least, abs=1e-9)
 

@@ -54,7 +54,7 @@ def test_the_leaves_are_free_places_of_the_body_the_largest_first(asked, office)
     half = drawn.columns["half_size"]
     assert len(half) == 500
     assert (np.diff(half) <= 0).all()
-    exact, _ = space.clearance(0, drawn.places[:, :2] + drawn.origin[:2])
+    exact, _ = space.levels[0].clearance(drawn.places[:, :2] + drawn.origin[:2])
     np.testing.assert_allclose(drawn.columns["clearance"], exact, atol=1e-5)
     assert exact.min() >= space.radius - 1e-9
 
@@ -62,7 +62,7 @@ def test_the_leaves_are_free_places_of_the_body_the_largest_first(asked, office)
 def test_obstacles_have_their_reason_and_belong_to_the_body(asked, office):
     human, roomba = (asked[1].draw("office", "obstacles", agent) for agent in ("human", "roomba"))
     assert len(human.places) > len(roomba.places)
-    kinds = office[1].free_space("roomba").obstacles[0].kind
+    kinds = office[1].free_space("roomba").levels[0].obstacles.kind
     for kind in ObstacleKind:
         assert (roomba.columns["kind"] == kind).sum() == (kinds == kind).sum()
     assert (roomba.columns["kind"] == ObstacleKind.STEP).any()

@@ -14,7 +14,7 @@ from gpdf_client.results import ClientError
 
 import gpdf_service as gpdf
 import gpdf_service.errors
-from gpdf_service.search import Prefer
+from gpdf_service.search.ways import Prefer
 from gpdf_service.service.memory import held_bytes
 from gpdf_service.service.scene_files import SceneFiles
 from gpdf_service.service.scenes import Shelf

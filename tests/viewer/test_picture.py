@@ -15,7 +15,7 @@ from gpdf_service.viewer.picture import FITS, FITS_EDGE, PANELS, _draw_quadtree,
 def test_what_is_painted_is_as_large_as_what_is_free():
     made = SCENES["office"](np.random.default_rng(0))
     scene = gpdf.build_scene(made.points, made.ground)
-    tree = scene.free_space("human").quadtrees[0]
+    tree = scene.free_space("human").levels[0].quadtree
     axes = Figure().add_subplot()
     _draw_quadtree(axes, scene, gpdf.AGENTS["human"], 0, (FITS, FITS_EDGE), 0.4)
     image = axes.images[0]
