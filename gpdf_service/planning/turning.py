@@ -86,8 +86,8 @@ def time_poses(
 ) -> tuple[FloatArray, FloatArray]:
     """Times [s] and headings [rad] of a path of a body that faces `headings`; a cylinder faces where it goes.
 
-    Where it moves, it is as slow as its turn rate asks for; where two places are the same but for rounding it stands and
-    turns, its ends no faster than they may be on the way.
+    Where it moves, it is as slow as its turn rate asks for; where two places are the same but for rounding it stands
+    and turns, its ends no faster than they may be on the way.
 
     Args:
         positions: The path [m], shape (n, 3).
