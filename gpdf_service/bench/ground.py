@@ -18,7 +18,7 @@ from gpdf_service.bench.hard_clouds import (
     spiral_rows,
     turned_house,
 )
-from gpdf_service.bench.houses import house_rows
+from gpdf_service.bench.houses import THIN, How, house_rows
 from gpdf_service.bench.placed import placed_rows
 from gpdf_service.bench.places import island_rows, label_rows, land_rows, path_rows, shaft_rows
 from gpdf_service.bench.report import Row, each, show
@@ -66,6 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scanner", action="append", choices=list(SCANNERS), help="of the houses; repeatable")
     parser.add_argument("--origins", action="store_true", help="houses are built with where the rays began")
     parser.add_argument("--fault", choices=list(FAULTS), help="of the scans of houses, as raw ones have them")
+    parser.add_argument("--thin", type=float, default=THIN, help="one point is kept of such a voxel of a house [m]")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder of the real clouds")
     parser.add_argument("--json", action="store_true", help="print the rows as JSON")
 
@@ -98,8 +99,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _houses(args: argparse.Namespace) -> Iterator[Row]:
     noise = args.noise[0] if args.noise else None
+    how: How = {"origins": args.origins, "fault": args.fault, "thin": args.thin}
     for scanner in args.scanner or ["tripod", "handheld"]:
-        yield from house_rows(scanner, args.count, args.seed, noise, origins=args.origins, fault=args.fault)
+        yield from house_rows(scanner, args.count, args.seed, noise, **how)
 
 
 def _hall(args: argparse.Namespace) -> Iterator[Row]:

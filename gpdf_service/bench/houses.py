@@ -58,10 +58,11 @@ def scanned_house(
 
 
 class How(TypedDict, total=False):
-    """How a house is scanned and built: told where rays began, and with one of the `FAULTS`."""
+    """How a house is scanned, thinned and built: told where rays began, and with one of the `FAULTS`."""
 
     origins: bool
     fault: str | None
+    thin: float
 
 
 def house_rows(
@@ -78,10 +79,16 @@ def house_rows(
 
 
 def measure(
-    seed: int, scanner: str, noise: float | None = None, *, origins: bool = False, fault: str | None = None
+    seed: int,
+    scanner: str,
+    noise: float | None = None,
+    *,
+    origins: bool = False,
+    fault: str | None = None,
+    thin: float = THIN,
 ) -> Row:
     """Build one scanned house, told where rays began or not; plan from floor to floor and back; judge what is OK."""
-    place, scan = scanned_house(seed, scanner, noise, fault=fault)
+    place, scan = scanned_house(seed, scanner, noise, thin, fault)
     began = time.process_time()
     row: Row = {"kind": place.name, "points": len(scan.points)}
     try:

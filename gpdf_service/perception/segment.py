@@ -164,8 +164,9 @@ def segment_layers(
     ground = find_ground(near, config, relief)
     (smooth,) = near.around("smooth", 1, _smoothed, ground)
     if held is not None:
-        told = nodes_of(near.layers, held), np.concatenate(ground), np.concatenate(smooth)
-        deviation = ROBUST * float(np.median(off_ground(held, *told)))
+        low = np.concatenate(ground) & (near.layers.thickness <= config.max_step)  # a wall's foot tells no scatter
+        off = off_ground(held, nodes_of(near.layers, held), low, np.concatenate(smooth))
+        deviation = ROBUST * float(np.median(off)) if len(off) else 0.0
     extents = partial(_extents, scatter=scatter_of(deviation, relief), config=config)
     return Segmentation(near, near.around("extents", 2, extents, ground, smooth), deviation, relief)
 

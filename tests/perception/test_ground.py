@@ -5,6 +5,7 @@ import pytest
 from scipy import ndimage
 
 from gpdf_service import build_scene, plan
+from gpdf_service.bench.houses import scanned_house
 from gpdf_service.clouds import read_cloud
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import NoGroundError
@@ -929,3 +930,11 @@ def test_what_is_under_the_ground_beside_guards_no_edge():
     lowest[cell] = 0.1
     _, guarded = guard_edges(surface, lowest.reshape(9, 9), cell, z, replace(CONFIG, stair_step=0.0))
     assert np.argwhere(guarded).tolist() == [[4, 6]]
+
+
+def test_walls_of_a_coarse_scan_tell_no_scatter_of_the_floor():
+    """In wide cells most points of a floor's nodes may be of walls: then all was within three deviations of it."""
+    _, scan = scanned_house(13, "handheld", thin=0.08)
+    found = segment_ground(scan.points)
+    assert found[scan.ground].mean() > 0.9
+    assert found[~scan.ground].mean() < 0.05  # the undersides of its upper floor, and a foot of its walls
