@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.ground.foot import LEAST_OBSTACLE
@@ -45,19 +47,16 @@ def complete(
         cell, z, lowest = held(box)
         return lowest, *standing(beside, lowest, cell, z, seen.cell_width)
 
-    def stepped(box: Box, height: Float32Array, state: ByteArray) -> tuple[Float32Array, ByteArray]:
-        made = fill_faces(as_map(height, state), held(box), config.max_step)
-        return made.height, made.state
-
-    def edges(box: Box, height: Float32Array, state: ByteArray, lowest: FloatArray) -> tuple[BoolArray, BoolArray]:
-        cell, z, _ = held(box)
-        return guard_edges(as_map(height, state), lowest, cell, z, config)
+    def edges(box: Box, height: Float32Array, state: ByteArray, lowest: FloatArray) -> tuple[NDArray[Any], ...]:
+        other = cell, z, _ = held(box)
+        made = fill_faces(as_map(height, state), other, config.max_step)
+        return made.height, made.state, *guard_edges(made, lowest, cell, z, config)
 
     lowest, thing, at_floor, over = grid.around("stood", 0, stood, near.height, points=True)
     filled = fill_holes(seen, grid, near, (thing, at_floor, over), voids, config, site.noise)
-    filled = as_map(*grid.around("steps' faces", 1, stepped, filled.height, filled.state, points=True))
     own = filled.height, filled.state, lowest
-    stair, guarded = grid.around("edges", notch_reach(seen), edges, *own, points=True)
+    height, state, stair, guarded = grid.around("edges", notch_reach(seen) + 1, edges, *own, points=True)
+    filled = as_map(height, state)
     if site.rays is not None:
         return seen_by_rays(filled, site.rays, config, site.noise), guarded
     return _known_to_be_free(grid, filled, held, lowest, stair, config), guarded
