@@ -115,7 +115,7 @@ def _gets(scene: Scene, start: FloatArray, goal: FloatArray) -> bool:
 def shifted_spiral(folder: Path, seed: int) -> Row:
     """Of so many shifts within a metre, under how many Spot's published query over the spiral is answered yet.
 
-    A deck's row of voxels lies one voxel lower. Where cells lie so that it has some of its own, nothing bridges it.
+    A deck's row of voxels lies one voxel lower. Where cells lie so that it has some of its own, it is a groove.
     """
     points, rng = read_cloud(folder / SPIRAL).points, np.random.default_rng(seed)
     row: Row = {"row": "spiral_shifted", "shifts": SHIFTS, "ok": 0}

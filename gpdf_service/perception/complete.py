@@ -102,8 +102,8 @@ def guard_edges(
 ) -> tuple[BoolArray, BoolArray]:
     """Cells of stairs, and those where material guards an edge by itself.
 
-    That does only what the lowest body cannot pass under. The wall of a drop does not; but what is seen below a shadow
-    in a stair, with treads on either side, is the stair.
+    That does only what is over the ground beside and the lowest body cannot pass under. A step's face and the wall of a
+    drop do not; but what is seen below a shadow in a stair, with treads on either side, is the stair.
 
     Args:
         surface: The ground.
@@ -114,9 +114,10 @@ def guard_edges(
     """
     known, reach = surface.state != UNKNOWN, notch_reach(surface)
     high, low = np.where(known, surface.height, -np.inf), np.where(known, surface.height, np.inf)
-    beside, foot = highest_around(high, 1) + config.min_headroom, lowest_around(low, reach)
-    shut, stair = lowest <= beside, highest_around(high, reach) - foot > 2.0 * surface.cell_width
+    beside, foot = highest_around(high, 1), lowest_around(low, reach)
+    shut = lowest <= beside + config.min_headroom
+    stair = highest_around(high, reach) - foot > 2.0 * surface.cell_width
 
-    top = highest_around(high, 1).astype(np.float64)
+    top = beside.astype(np.float64)
     guards = np.isfinite(extent_within(cell, z, top + LEAST_OBSTACLE, top + config.min_headroom)[0])
     return stair, guards | between_treads(surface, shut & stair & ~known, config.stair_step)
