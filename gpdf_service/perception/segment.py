@@ -52,6 +52,8 @@ LEAST_SCATTER = 0.02
 """[m] Scatter of a good scanner's floor; three robust standard deviations of the residuals where that is more."""
 LEVEL = np.zeros(1)
 """[m] Relief of a clean cloud's ground: what was seen is there."""
+LEAST_RISER = 0.1
+"""[m] Lowest riser of a stair, by the International Building Code, 1011.5.2."""
 ROOF_SHARE = 0.2
 """[-] Of a roof's rim that ground can touch, the rest being a drop: a terrace at one corner, a neighbour's wall."""
 
@@ -343,8 +345,12 @@ def _roofs(near: Beside, smooth: Strips, flat: Strips, rise: float, config: Perc
 
 
 def _slope(layers: Layers, ground: BoolArray, config: PerceptionConfig) -> FloatArray:
-    """Slope at each ground node [rad], of the mean gradient of it and its neighbours on the same slope."""
-    pairs = connect(layers, ground, 2.0 * layers.cell_width * float(np.tan(config.steepest)))  # or noise flattens it
+    """Slope at each ground node [rad], of the mean gradient of it and its neighbours on the same slope.
+
+    They go up by twice the steepest slope, or noise flattens it; but in wide cells the next tread of a stair is no slope.
+    """
+    rise = layers.cell_width * float(np.tan(config.steepest))
+    pairs = connect(layers, ground, max(rise, min(2.0 * rise, LEAST_RISER)))
     gradient = mean_gradients(layers.height, layers.cell, layers.shape[1], *pairs)
     return np.arctan(gradient / layers.cell_width)
 

@@ -14,7 +14,7 @@ from gpdf_service.tiles.beside import Answer, Beside, Strips
 from gpdf_service.tiles.layers import Layers, Pairs
 from gpdf_service.tiles.nodes import joined_to
 from gpdf_service.tiles.pieces import find_pieces
-from gpdf_service.types import BoolArray
+from gpdf_service.types import BoolArray, IntArray
 
 
 def _slabs(near: Beside, parts: Parts, config: PerceptionConfig) -> tuple[Strips, BoolArray]:
@@ -94,11 +94,12 @@ def without_ceilings(
     down = scraps[high] & ~scraps[low] & (parts.level[high] - parts.level[low] > parts.rise)
     down &= parts.size[low] * layers.cell_width**2 >= HALF_FOOT
     for scrap, below in zip(high[down], low[down], strict=True):
-        rise = parts.level[scrap] - layers.height  # a ramp and both its storeys are one part
-        tread = (of == below) & (rise > 0.0) & (rise <= config.max_step)
-        own, beneath = np.flatnonzero(of == scrap), np.flatnonzero(tread)
-        off = cKDTree(layers.place[beneath]).query(layers.place[own])[0]
-        lost[own[off <= min(parts.depth[below], STRIDE) + layers.cell_width]] = False
+        limits = min(parts.depth[below], STRIDE) + layers.cell_width, parts.rise, config.max_step
+        own, treads = np.flatnonzero((of == scrap) & lost), np.flatnonzero(of == below)
+        while len(own) and len(treads):
+            up = _steps_up(layers, own, treads, limits)
+            own, treads = own[~up], own[up]
+            lost[treads] = False
 
     def without(_: Layers, __: BoolArray, *given: BoolArray) -> Answer:
         under, lost, flat, room = given
@@ -113,3 +114,11 @@ def without_ceilings(
     left = replace(left, size=left.counts("room", keep)[0])
     good = (left.size[joins[0]] > 0) & (left.size[joins[1]] > 0)
     return under, left, (joins[0][good], joins[1][good])
+
+
+def _steps_up(layers: Layers, nodes: IntArray, treads: IntArray, limits: tuple[float, float, float]) -> BoolArray:
+    """Which of the `nodes` lie over one of the `treads`; the `limits` are how far in plan, the least and most rise [m]."""
+    reach, least, most = limits
+    near = cKDTree(layers.place[treads]).query_ball_point(layers.place[nodes], reach)
+    rises = (layers.height[i] - layers.height[treads[beside]] for i, beside in zip(nodes, near, strict=True))
+    return np.array([bool(((rise > least) & (rise <= most)).any()) for rise in rises])
