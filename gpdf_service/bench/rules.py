@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 from unittest import mock
 
 import numpy as np
@@ -43,6 +43,8 @@ REFLECTED = 1e-4
 """[-] Of a scan's points: glass, water and dust send back single ones from anywhere."""
 STARTS = 30
 """In each crowded place."""
+WIDE = 0.08
+"""[m] Voxels of which one point is kept: a tread is three of them deep."""
 
 
 def _false(of: int) -> Callable[..., BoolArray]:
@@ -73,12 +75,14 @@ def _no_steps(_: Any, asked: BoolArray, config: PerceptionConfig) -> tuple[Float
 
 
 _P, _G, _D = (f"gpdf_service.{layer}." for layer in ("perception", "ground", "denoise"))
-RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
+RULES: dict[str, tuple[str, str, Any]] = {
     "a foot on sparse cells": (_P + "segment", "find_footing", _false(2)),
     "rough treads between stances": (_P + "segment", "find_between", _false(1)),
     "stances": (_P + "segment", "find_stances", lambda _, among: among.copy()),
     "undersides": (_P + "segment", "undersides", lambda _, parts, __: (_none(0, parts.keep), parts, parts.size < 0)),
     "crumbs of noise": (_P + "segment", "without_crumbs", lambda _, parts, __: parts),
+    "the next tread is no slope": (_P + "segment", "LEAST_RISER", np.inf),
+    "flights that touch a slab": (_P + "slabs", "_climb", lambda *_: None),
     "grooves": (_P + "segment", "_grooves", _false(1)),
     "roofs": (_P + "segment", "_roofs", _none),
     "low things": (_P + "segment", "low_things", _none),
@@ -100,6 +104,7 @@ RULES: dict[str, tuple[str, str, Callable[..., Any]]] = {
         "footholds",
         lambda surface, _: np.where(surface.state == UNKNOWN, -np.inf, surface.height),
     ),
+    "treads in a lower cell": (_P + "ledges", "_level_beside", _false(0)),
     "a ledge is a step": (_P + "ledges", "step_over", lambda surface, _: np.full(surface.state.shape, -np.inf)),
     "rims over faces": (_P + "ledges", "_add_rims", lambda *_: None),
     "outliers of noise": (_P + "seen", "without_outliers", _first),
@@ -168,6 +173,7 @@ def rule_rows(data: Path, seed: int, count: int, rules: Sequence[str]) -> Iterat
         "depth camera": partial(_depth, seed),
         "reflections": partial(_reflections, seed),
         "clouds elsewhere": partial(_elsewhere, data),
+        "houses of wide voxels": partial(_houses, seed, count, thin=WIDE),
     }
     whole: dict[str, Row] = {}
     for rule in each(rules, "rules"):
@@ -215,10 +221,10 @@ def _reflections(seed: int) -> Row:
     return {key: round(row[key], 4) for key in ("known_of_true", "human_free_of_true", "roomba_free_of_true")}
 
 
-def _houses(seed: int, count: int, origins: bool = False) -> Row:
+def _houses(seed: int, count: int, **how: Unpack[houses.How]) -> Row:
     made: Row = {}
     for scanner in ("tripod", "handheld"):
-        rows = [houses.measure(number, scanner, origins=origins) for number in range(seed, seed + count)]
+        rows = [houses.measure(number, scanner, **how) for number in range(seed, seed + count)]
         made[f"{scanner}_ways"] = sum(row["up"] + row["down"] for row in rows)
         for key in ("inferred", "inferred_off", "inferred_unseen", "wrongly_free", "collisions", "in_the_air"):
             made[f"{scanner}_{key}"] = sum(row.get(key, 0) for row in rows)

@@ -347,7 +347,7 @@ def _roofs(near: Beside, smooth: Strips, flat: Strips, rise: float, config: Perc
 def _slope(layers: Layers, ground: BoolArray, config: PerceptionConfig) -> FloatArray:
     """Slope at each ground node [rad], of the mean gradient of it and its neighbours on the same slope.
 
-    They go up by twice the steepest slope, or noise flattens it; but in wide cells the next tread of a stair is no slope.
+    They go up by twice the steepest slope, or noise flattens it; but in wide cells a stair's next tread is no slope.
     """
     rise = layers.cell_width * float(np.tan(config.steepest))
     pairs = connect(layers, ground, max(rise, min(2.0 * rise, LEAST_RISER)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import cKDTree
+from numba import njit
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.ground.foot import HALF_FOOT, STRIDE
@@ -13,8 +13,9 @@ from gpdf_service.perception.parts import OVER_SHARE, TABLE_AREA, Parts, build_p
 from gpdf_service.tiles.beside import Answer, Beside, Strips
 from gpdf_service.tiles.layers import Layers, Pairs
 from gpdf_service.tiles.nodes import joined_to
+from gpdf_service.tiles.pairs import Columns
 from gpdf_service.tiles.pieces import find_pieces
-from gpdf_service.types import BoolArray, IntArray
+from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 
 def _slabs(near: Beside, parts: Parts, config: PerceptionConfig) -> tuple[Strips, BoolArray]:
@@ -84,22 +85,18 @@ def without_ceilings(
     """What is left of undersides, `scraps` of shape (parts + 1,), is one as well but for treads: one steps down there.
 
     Through a hole in the scan of a slab's top nothing is within a stride below. Where that hole is beside a tread, the
-    tread is what is as near to the one below it as that is deep, at most a stride: a ramp is no tread.
+    tread is what is as near to the one below it as that is deep, at most a stride: a ramp is no tread. From there on
+    the flight is climbed: in wide cells several of its treads are one part.
     """
     if not scraps.any():
         return under, parts, joins
     layers, of = near.layers, parts.pieces.whole
-    lost = scraps[of]
     high, low = (np.concatenate(ends) for ends in zip(joins, joins[::-1], strict=True))
     down = scraps[high] & ~scraps[low] & (parts.level[high] - parts.level[low] > parts.rise)
-    down &= parts.size[low] * layers.cell_width**2 >= HALF_FOOT
-    for scrap, below in zip(high[down], low[down], strict=True):
-        limits = min(parts.depth[below], STRIDE) + layers.cell_width, parts.rise, config.max_step
-        own, treads = np.flatnonzero((of == scrap) & lost), np.flatnonzero(of == below)
-        while len(own) and len(treads):
-            up = _steps_up(layers, own, treads, limits)
-            own, treads = own[~up], own[up]
-            lost[treads] = False
+    first = np.zeros(len(scraps), dtype=bool)
+    first[low[down & (parts.size[low] * layers.cell_width**2 >= HALF_FOOT)]] = True
+    lost, reach = scraps[of], np.minimum(parts.depth, STRIDE) / layers.cell_width + 1.0
+    _climb(layers.columns, np.flatnonzero(first[of]), reach[of], (parts.rise, config.max_step), lost)
 
     def without(_: Layers, __: BoolArray, *given: BoolArray) -> Answer:
         under, lost, flat, room = given
@@ -116,9 +113,25 @@ def without_ceilings(
     return under, left, (joins[0][good], joins[1][good])
 
 
-def _steps_up(layers: Layers, nodes: IntArray, treads: IntArray, limits: tuple[float, float, float]) -> BoolArray:
-    """Which of the `nodes` lie over one of the `treads`; the `limits` are how far in plan, the least and most rise [m]."""
-    reach, least, most = limits
-    near = cKDTree(layers.place[treads]).query_ball_point(layers.place[nodes], reach)
-    rises = (layers.height[i] - layers.height[treads[beside]] for i, beside in zip(nodes, near, strict=True))
-    return np.array([bool(((rise > least) & (rise <= most)).any()) for rise in rises])
+@njit(cache=True, nogil=True)
+def _climb(columns: Columns, treads: IntArray, reach: FloatArray, rise: tuple[float, float], lost: BoolArray) -> None:
+    """Treads are not `lost` that one climbs to from the first ones, tread by tread, each within `reach` cells.
+
+    Args:
+        columns: Of the nodes.
+        treads: The first ones.
+        reach: How many cells each node's part is deep, and one, shape (k,).
+        rise: From tread to tread, at least and at most [m].
+        lost: Which nodes are, shape (k,).
+    """
+    (cell, start, (nx, ny), height, _), found = columns, list(treads)
+    while found:
+        i = found.pop()
+        x, y, rings = cell[i] // ny, cell[i] % ny, int(reach[i])
+        for u in range(max(x - rings, 0), min(x + rings + 1, nx)):
+            for v in range(max(y - rings, 0), min(y + rings + 1, ny)):
+                for j in range(start[u * ny + v], start[u * ny + v + 1]):
+                    over = height[j] - height[i]
+                    if lost[j] and rise[0] < over <= rise[1] and (u - x) ** 2 + (v - y) ** 2 <= reach[i] ** 2:
+                        lost[j] = False
+                        found.append(j)
