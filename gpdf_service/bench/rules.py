@@ -104,7 +104,6 @@ RULES: dict[str, tuple[str, str, Any]] = {
         "footholds",
         lambda surface, _: np.where(surface.state == UNKNOWN, -np.inf, surface.height),
     ),
-    "treads in a lower cell": (_P + "ledges", "_level_beside", _false(0)),
     "a ledge is a step": (_P + "ledges", "step_over", lambda surface, _: np.full(surface.state.shape, -np.inf)),
     "rims over faces": (_P + "ledges", "_add_rims", lambda *_: None),
     "outliers of noise": (_P + "seen", "without_outliers", _first),

@@ -51,33 +51,11 @@ def find_ledges(
     ground = chosen_rows(ground, between(at, ground[:, 2], np.full_like(high, -np.inf), most))
     ledge = np.full(len(other), np.inf, np.float32)
     if len(ground) and len(low):
-        ground = np.concatenate([ground, low[_level_beside(low[:, 2], cell, _known(part))]])
         least = np.maximum(low[:, 2] - LEAST_OBSTACLE, step_over(part, noise).ravel()[cell])
         ledge[asked] = next_above(ground, low, least, aside)
     if noise > 0.0 and len(ground):
         _add_rims(ledge, asked, ground, other, noise, aside)
     return ledge
-
-
-def _known(surface: HeightMap) -> Float32Array:
-    """Height of each cell [m], NaN where it is unknown, shape (nx, ny)."""
-    return np.where(surface.state != UNKNOWN, surface.height, np.float32(np.nan))
-
-
-def _level_beside(z: FloatArray, cell: IntArray, height: Float32Array) -> BoolArray:
-    """Which points at these heights [m] in these flat cells, (m,), are as high as a cell beside: its ground goes on."""
-    found = np.zeros(len(z), dtype=bool)
-    run_chunked(lambda a, b: _are_level(z[a:b], cell[a:b], height, found[a:b]), len(z))
-    return found
-
-
-@njit(cache=True, nogil=True)
-def _are_level(z: FloatArray, cell: IntArray, height: Float32Array, found: BoolArray) -> None:
-    for m in range(len(z)):
-        x, y = cell[m] // height.shape[1], cell[m] % height.shape[1]
-        for u in range(max(x - 1, 0), min(x + 2, height.shape[0])):
-            for v in range(max(y - 1, 0), min(y + 2, height.shape[1])):
-                found[m] |= abs(height[u, v] - z[m]) <= LEAST_OBSTACLE  # a NaN compares false
 
 
 def _add_rims(
