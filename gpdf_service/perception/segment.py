@@ -54,6 +54,8 @@ LEVEL = np.zeros(1)
 """[m] Relief of a clean cloud's ground: what was seen is there."""
 LEAST_RISER = 0.1
 """[m] Lowest riser of a stair, by the International Building Code, 1011.5.2."""
+HALF_RISER = 0.5 * LEAST_RISER
+"""[m] In cells of a riser's face alone the ground is half-way up."""
 ROOF_SHARE = 0.2
 """[-] Of a roof's rim that ground can touch, the rest being a drop: a terrace at one corner, a neighbour's wall."""
 
@@ -247,7 +249,8 @@ def find_ground(near: Beside, config: PerceptionConfig, relief: FloatArray = LEV
     core, keep, flat, inner = near.around("surfaces", foot + 2, partial(_surfaces, rise=rise, config=config))
     if not any((a & b).any() for a, b in zip(core, keep, strict=True)):
         raise NoGroundError(*NO_SURFACE)
-    parts = build_parts(near, "parts", flat, keep, inner, rise, config)
+    gentle = max(HALF_RISER, width * float(np.tan(config.standable_slope)))  # or a face joins two treads in wide cells
+    parts = build_parts(near, "parts", flat, keep, inner, min(rise, gentle), config)
     if not parts.size.any():
         raise NoGroundError(*NO_SURFACE)
     under, parts, scraps = undersides(near, parts, config)

@@ -15,7 +15,7 @@ from gpdf_service.tiles.layers import Layers, Pairs
 from gpdf_service.tiles.nodes import joined_to
 from gpdf_service.tiles.pairs import Columns
 from gpdf_service.tiles.pieces import find_pieces
-from gpdf_service.types import BoolArray, FloatArray, IntArray
+from gpdf_service.types import BoolArray, IntArray
 
 
 def _slabs(near: Beside, parts: Parts, config: PerceptionConfig) -> tuple[Strips, BoolArray]:
@@ -91,12 +91,14 @@ def without_ceilings(
     if not scraps.any():
         return under, parts, joins
     layers, of = near.layers, parts.pieces.whole
+    lost = scraps[of]
     high, low = (np.concatenate(ends) for ends in zip(joins, joins[::-1], strict=True))
     down = scraps[high] & ~scraps[low] & (parts.level[high] - parts.level[low] > parts.rise)
-    first = np.zeros(len(scraps), dtype=bool)
-    first[low[down & (parts.size[low] * layers.cell_width**2 >= HALF_FOOT)]] = True
-    lost, reach = scraps[of], np.minimum(parts.depth, STRIDE) / layers.cell_width + 1.0
-    _climb(layers.columns, np.flatnonzero(first[of]), reach[of], (parts.rise, config.max_step), lost)
+    down &= parts.size[low] * layers.cell_width**2 >= HALF_FOOT
+    for scrap, below in zip(high[down], low[down], strict=True):
+        reach = min(parts.depth[below], STRIDE) / layers.cell_width + 1.0
+        limits = reach, parts.rise, config.max_step
+        lost[_climbed(layers.columns, np.flatnonzero(of == below), of == scrap, limits)] = False
 
     def without(_: Layers, __: BoolArray, *given: BoolArray) -> Answer:
         under, lost, flat, room = given
@@ -114,24 +116,23 @@ def without_ceilings(
 
 
 @njit(cache=True, nogil=True)
-def _climb(columns: Columns, treads: IntArray, reach: FloatArray, rise: tuple[float, float], lost: BoolArray) -> None:
-    """Treads are not `lost` that one climbs to from the first ones, tread by tread, each within `reach` cells.
+def _climbed(columns: Columns, treads: IntArray, among: BoolArray, limits: tuple[float, float, float]) -> IntArray:
+    """The nodes `among` all that one climbs to from the first `treads`, one after another.
 
-    Args:
-        columns: Of the nodes.
-        treads: The first ones.
-        reach: How many cells each node's part is deep, and one, shape (k,).
-        rise: From tread to tread, at least and at most [m].
-        lost: Which nodes are, shape (k,).
+    The `limits` are how many cells apart in plan two treads are at most, and the least and the most rise [m].
     """
-    (cell, start, (nx, ny), height, _), found = columns, list(treads)
-    while found:
-        i = found.pop()
-        x, y, rings = cell[i] // ny, cell[i] % ny, int(reach[i])
+    (cell, start, (nx, ny), height, _), (reach, least, most) = columns, limits
+    rings, found, front = int(reach), [0 for _ in range(0)], list(treads)
+    left = among.copy()
+    while front:
+        i = front.pop()
+        x, y = cell[i] // ny, cell[i] % ny
         for u in range(max(x - rings, 0), min(x + rings + 1, nx)):
             for v in range(max(y - rings, 0), min(y + rings + 1, ny)):
                 for j in range(start[u * ny + v], start[u * ny + v + 1]):
                     over = height[j] - height[i]
-                    if lost[j] and rise[0] < over <= rise[1] and (u - x) ** 2 + (v - y) ** 2 <= reach[i] ** 2:
-                        lost[j] = False
+                    if left[j] and least < over <= most and (u - x) ** 2 + (v - y) ** 2 <= reach**2:
+                        left[j] = False
                         found.append(j)
+                        front.append(j)
+    return np.array(found, np.int64)
