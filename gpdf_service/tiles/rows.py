@@ -187,6 +187,14 @@ def extent_of(points: FloatArray) -> tuple[float, float]:
     return max(high[0] - low[0], high[1] - low[1]), most
 
 
+def rows_over(points: FloatArray, origin: FloatArray, width: float) -> tuple[int, int]:
+    """The first and the last row of cells that points (n, 3) lie in; the first for none."""
+    if len(points) == 0:
+        return 0, 0
+    low, high = bounds_of(points)
+    return int((low[0] - origin[0]) / width), int((high[0] - origin[0]) / width)
+
+
 def cells_of(points: FloatArray, origin: FloatArray, width: float, shape: tuple[int, int]) -> IntArray:
     """Flat cell of each point (n, 3), which must lie on the grid, shape (n,)."""
     cell = np.empty(len(points), np.int64)
