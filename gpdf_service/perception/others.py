@@ -68,11 +68,13 @@ def _columns_in(site: Site, sheet: BoolArray, seen: HeightMap, cells: BoolArray,
     return Columns(box, cell, points, ground)
 
 
-def _flat_cells(box: Box, cells: BoolArray) -> IntArray:
-    """Flat cell in the grid of each in a box, and behind them that of none; so is that of all but the `cells`."""
+def _in_grid(cell: IntArray, box: Box, cells: BoolArray) -> IntArray:
+    """Flat cells in a box as those in the grid, shape (n,); of all but the `cells` as the one after the last."""
+    if cells.all():
+        return cell
     (rows, columns), (nx, ny) = grown(box, 0, cells.shape), cells.shape
     flat = np.add.outer(np.arange(rows.start * ny, rows.stop * ny, ny), np.arange(columns.start, columns.stop))
-    made: IntArray = np.append(np.where(cells[box], flat, nx * ny).ravel(), nx * ny).astype(INDEX)
+    made: IntArray = np.append(np.where(cells[box], flat, nx * ny).ravel(), nx * ny).astype(INDEX)[cell]
     return made
 
 
@@ -94,11 +96,11 @@ def find_others(site: Site, sheet: BoolArray, seen: HeightMap, near: Nearest, gr
         partial(find_voids, part, shown, treads[box], rim[box], cell, z, config.max_step),
     )
     grid.put("voids", given, cells, [(box, found)] if cells.any() else [])
-    deep = _reaching_down(held, hidden[box], beside[box], config)
-    begin, order = by_cell(_flat_cells(box, cells)[np.where(near_by, cell, part.state.size)], cells.size + 1)
+    begin, order = by_cell(_in_grid(np.where(near_by, cell, part.state.size), box, cells), cells.size + 1)
     order = order[: begin[-2]]  # without those of the cell after the last one
     fresh = taken(points, order)
-    fresh[deep[order], 2] -= config.max_step
+    if hidden[box].any():
+        fresh[_reaching_down(held, hidden[box], beside[box], config)[order], 2] -= config.max_step
     return _changed(was, cells, begin[:-1], fresh)
 
 

@@ -114,7 +114,7 @@ class Points:
         """
         grid, count, asked = (origin, width, wanted), len(self.base.points), self.there if kind is None else kind
         rows, more = _inside(self.base.points, asked, self.base.squares, grid), rows_in_cells(self.more, *grid)
-        return np.concatenate([np.sort(rows).astype(np.int64), more[asked[count + more]] + count])
+        return np.concatenate([np.sort(rows), more[asked[count + more]] + count])
 
     def bounds(self, chosen: BoolArray) -> tuple[FloatArray, FloatArray]:
         """Least and greatest (x, y) [m] of the `chosen` points, shape (n + k,)."""
