@@ -117,9 +117,9 @@ class Segmentation:
         """
         node, held = nodes_of(self.layers, points) if node is None else node, np.empty(len(points), dtype=bool)
         begin, end = self.near.strips_of(points)
-        told = [np.concatenate(each[begin:end]) for each in self.extents]
-        first, scatter = int(self.near.first[begin]), np.broadcast_to(self.scatter, len(self.layers.cell))
-        ground = np.column_stack([*told, scatter[first : first + len(told[0])]])  # what a point asks is in one line
+        low, high, under = (np.concatenate(each[begin:end]) for each in self.extents)
+        first = int(self.near.first[begin])
+        ground = low, high, under, np.broadcast_to(self.scatter, len(self.layers.cell))[first : first + len(low)].copy()
         run_chunked(lambda a, b: held_by(points[a:b], node[a:b], first, ground, held[a:b]), len(points))
         return held
 

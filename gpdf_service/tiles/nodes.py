@@ -303,14 +303,22 @@ def whole_around(columns: Columns, inside: BoolArray, end: BoolArray, max_step: 
 
 
 @njit(cache=True, nogil=True)
-def held_by(points: FloatArray, node: IntArray, first: int, ground: FloatArray, held: BoolArray) -> None:
-    """Whether points in the nodes `node` are within a scatter of the ground there in height.
+def held_by(
+    points: FloatArray,
+    node: IntArray,
+    first: int,
+    ground: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    held: BoolArray,
+) -> None:
+    """Whether points in the nodes `node` are within `scatter` of the ground there, or `beside` [m], in height.
 
-    Told of each node from the `first` on: its lowest and highest ground, that beside it, and the scatter [m], (k, 4).
+    The ground is told from node number `first` on.
     """
+    low, high, beside, scatter = ground
     for i in range(len(node)):
-        (low, high, beside, scatter), z = ground[node[i] - first], points[i, 2]
-        held[i] = low - scatter <= z <= high + scatter or abs(z - beside) <= scatter
+        n, z = node[i] - first, points[i, 2]
+        near = scatter[n]
+        held[i] = low[n] - near <= z <= high[n] + near or abs(z - beside[n]) <= near
 
 
 @njit(cache=True, nogil=True)
