@@ -44,13 +44,15 @@ def complete(
     config, as_map = site.config, partial(HeightMap, seen.origin, seen.cell_width)
 
     def stood(box: Box, beside: Float32Array) -> tuple[FloatArray, BoolArray, BoolArray, BoolArray]:
-        cell, z, lowest = held(box)
+        cell, z = held(box)
+        ends = np.full(beside.shape, np.inf)
+        lowest = extent_within(cell, z, -ends, ends)[0]
         return lowest, *standing(beside, lowest, cell, z, seen.cell_width)
 
     def edges(box: Box, height: Float32Array, state: ByteArray, lowest: FloatArray) -> tuple[NDArray[Any], ...]:
-        other = cell, z, _ = held(box)
-        made = fill_faces(as_map(height, state), other, config.max_step)
-        return made.height, made.state, *guard_edges(made, lowest, cell, z, config)
+        other = lowest, *held(box)
+        made = fill_faces(as_map(height, state), *other, config.max_step)
+        return made.height, made.state, *guard_edges(made, *other, config)
 
     lowest, thing, at_floor, over = grid.around("stood", 0, stood, near.height, points=True)
     filled = fill_holes(seen, grid, near, (thing, at_floor, over), voids, config, site.noise)
@@ -77,8 +79,7 @@ def _known_to_be_free(
     as_map = partial(HeightMap, filled.origin, filled.cell_width)
 
     def faces(box: Box, height: Float32Array, state: ByteArray, stair: BoolArray) -> tuple[BoolArray]:
-        cell, z, _ = held(box)
-        face = find_faces(as_map(height, state), cell, z, config.min_headroom)
+        face = find_faces(as_map(height, state), *held(box), config.min_headroom)
         return (face & ~stair,)  # a flight's treads were seen to its walls
 
     def shown(

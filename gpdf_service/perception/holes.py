@@ -129,26 +129,30 @@ def standing(beside: Float32Array, lowest: FloatArray, cell: IntArray, z: FloatA
     return material, material & (lowest >= ground - cell_width) & np.isinf(over), np.isfinite(over)
 
 
-def fill_faces(surface: HeightMap, other: tuple[IntArray, FloatArray, FloatArray], max_step: float) -> HeightMap:
+def fill_faces(surface: HeightMap, lowest: FloatArray, cell: IntArray, z: FloatArray, max_step: float) -> HeightMap:
     """Infer the lower ground of a step under its face, where that fills a cell alone.
 
     All points of the cell are between the ground on both sides of it. On the level they may be a thing's foot.
 
     Args:
         surface: After `fill_holes`.
-        other: The other points, see `Held`.
+        lowest: Of the other points in each cell [m], inf where there is none, shape (nx, ny).
+        cell: Flat cell of each other point, shape (m,).
+        z: Its height [m], shape (m,).
         max_step: No face is higher [m].
     """
-    (cell, z, lowest), known, inner = other, surface.state != UNKNOWN, np.s_[1:-1, 1:-1]
+    known, inner = surface.state != UNKNOWN, np.s_[1:-1, 1:-1]
     low = lowest_around(np.where(known, surface.height, np.float32(np.inf)), 1)
     high = highest_around(np.where(known, surface.height, np.float32(-np.inf)), 1)
-    top = extent_within(cell, z, np.full(low.shape, -np.inf), np.full(low.shape, np.inf))[1]
-    face = ~known & np.isfinite(top) & (lowest >= low - LEAST_OBSTACLE) & (top <= high + LEAST_OBSTACLE)
+    face = ~known & np.isfinite(lowest) & (lowest >= low - LEAST_OBSTACLE)
+    face &= (high - low > LEAST_OBSTACLE) & (high - low <= max_step)
     both = np.zeros_like(known)
     for by in ((1, 0), (0, 1), (1, 1), (1, -1)):
         ahead, behind = (np.roll(known, sign * np.array(by), (0, 1)) for sign in (1, -1))
         both[inner] |= (ahead & behind)[inner]
-    face &= both & (high - low > LEAST_OBSTACLE) & (high - low <= max_step)
+    face &= both
+    top = np.where(face, high + LEAST_OBSTACLE, np.inf).astype(np.float64)
+    face &= np.isinf(extent_within(cell, z, top, np.full(top.shape, np.inf))[0])  # nothing over it
     height, state = np.where(face, low, surface.height), np.where(face, INFERRED, surface.state)
     return replace(surface, height=height, state=state)
 

@@ -22,15 +22,15 @@ from gpdf_service.perception.site import Made, Site
 from gpdf_service.perception.voids import MAX_HOLE_RADIUS, find_rims, find_voids
 from gpdf_service.tiles.boxes import Box, widened, window
 from gpdf_service.tiles.columns import by_cell, runs_of, starts_spliced, take_out, unlike_cells, values_spliced
-from gpdf_service.tiles.rows import INDEX, between, extent_within, rows_by_cell, taken, under
+from gpdf_service.tiles.rows import INDEX, between, rows_by_cell, taken, under
 from gpdf_service.tiles.surface import UNKNOWN, HeightMap, Nearest, cells_within, cropped
 from gpdf_service.tiles.told import Grid, boxes_of, grown
 from gpdf_service.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
 PICKED = 0.4
 """[-] Share of the cells of a cloud from which on all points are read: to pick one out takes as long as to read two."""
-Held = tuple[IntArray, FloatArray, FloatArray]
-"""Flat cell and height [m] of each other point, shape (m,), and the lowest of each cell [m]."""
+Held = tuple[IntArray, FloatArray]
+"""Flat cell and height [m] of each other point, shape (m,)."""
 
 
 class Others(NamedTuple):
@@ -68,11 +68,13 @@ def _columns_in(site: Site, sheet: BoolArray, seen: HeightMap, cells: BoolArray,
     return Columns(box, cell, points, ground)
 
 
-def _flat_cells(box: Box, cells: BoolArray) -> IntArray:
-    """Flat cell in the grid of each in a box, and behind them that of none; so is that of all but the `cells`."""
+def _in_grid(cell: IntArray, box: Box, cells: BoolArray) -> IntArray:
+    """Flat cells in a box as those in the grid, shape (n,); of all but the `cells` as the one after the last."""
+    if cells.all():
+        return cell
     (rows, columns), (nx, ny) = grown(box, 0, cells.shape), cells.shape
     flat = np.add.outer(np.arange(rows.start * ny, rows.stop * ny, ny), np.arange(columns.start, columns.stop))
-    made: IntArray = np.append(np.where(cells[box], flat, nx * ny).ravel(), nx * ny).astype(INDEX)
+    made: IntArray = np.append(np.where(cells[box], flat, nx * ny).ravel(), nx * ny).astype(INDEX)[cell]
     return made
 
 
@@ -94,8 +96,12 @@ def find_others(site: Site, sheet: BoolArray, seen: HeightMap, near: Nearest, gr
         partial(find_voids, part, shown, treads[box], rim[box], cell, z, config.max_step),
     )
     grid.put("voids", given, cells, [(box, found)] if cells.any() else [])
-    z = _reaching_down(held, hidden[box], beside[box], config)
-    return _changed(was, cells, _flat_cells(box, cells)[np.where(near_by, cell, part.state.size)], points, z)
+    begin, order = by_cell(_in_grid(np.where(near_by, cell, part.state.size), box, cells), cells.size + 1)
+    order = order[: begin[-2]]  # without those of the cell after the last one
+    fresh = taken(points, order)
+    if hidden[box].any():
+        fresh[_reaching_down(held, hidden[box], beside[box], config)[order], 2] -= config.max_step
+    return _changed(was, cells, begin[:-1], fresh)
 
 
 def _span(grid: Grid, seen: HeightMap, max_step: float) -> tuple[NDArray[Any], ...]:
@@ -109,24 +115,15 @@ def _span(grid: Grid, seen: HeightMap, max_step: float) -> tuple[NDArray[Any], .
     return grid.around("span", ceil(max(OVERLAP, FLIGHT) / seen.cell_width) + 3, answer, seen.height, seen.state)
 
 
-def _reaching_down(held: Columns, hidden: BoolArray, floor: Float32Array, config: PerceptionConfig) -> FloatArray:
-    """Heights of points [m], shape (n,); of ground over head that is `hidden` from below, what it may reach down to."""
+def _reaching_down(held: Columns, hidden: BoolArray, floor: Float32Array, config: PerceptionConfig) -> BoolArray:
+    """Which points are ground over head that is `hidden` from below, shape (n,): it may reach a step further down."""
     _, cell, points, ground = held
     over = np.where(hidden, over_head(floor, config), np.inf)
-    own = np.where(ground, cell, cell.dtype.type(over.size))
-    deep = between(own, points[:, 2], over, np.full(over.shape, np.inf))
-    return points[:, 2] - config.max_step * deep
+    return ground & between(cell, points[:, 2], over, np.full(over.shape, np.inf))
 
 
-def _changed(was: Made, cells: BoolArray, cell: IntArray, points: FloatArray, z: FloatArray) -> Others:
-    """The other points of a level with those in some `cells` told anew: the points by their flat cell, at heights z.
-
-    Those of the cell after the last one are none.
-    """
-    begin, order = by_cell(cell, cells.size + 1)
-    order, begin = order[: begin[-2]], begin[:-1]
-    fresh = taken(points, order)
-    fresh[:, 2] = z[order]
+def _changed(was: Made, cells: BoolArray, begin: IntArray, fresh: FloatArray) -> Others:
+    """The other points of a level with those in some `cells` told anew: `fresh` ones, where each cell's `begin`."""
     unlike = cells if cells.all() else unlike_cells(cells, was.first, was.level.other_points, begin, fresh)
     places = unlike.ravel(), was.first, begin
     first, runs = starts_spliced(*places), runs_of(*places)
@@ -164,8 +161,6 @@ def rows_in(first: IntArray, box: Box, shape: tuple[int, ...]) -> Rows:
 
 
 def held_in(other: FloatArray, first: IntArray, surface: HeightMap, box: Box) -> Held:
-    """Flat cell and height [m] of each of the `other` points (m, 3), `in_order`, in a box, and the lowest of a cell."""
+    """Flat cell and height [m] of each of the `other` points (m, 3), `in_order`, in a box."""
     held = other[rows_in(first, box, surface.state.shape)]
-    cell, z = cells_within(held, surface, box), np.ascontiguousarray(held[:, 2])
-    ends = np.full(surface.state[box].shape, np.inf)
-    return cell, z, extent_within(cell, z, -ends, ends)[0]
+    return cells_within(held, surface, box), np.ascontiguousarray(held[:, 2])

@@ -64,12 +64,14 @@ def unseen_beneath(
     """
     rings, (box, cell, points, ground) = rings_of(config.widest_gap, width), held
     over, z, outer = over_head(floor[box], config), points[:, 2], grown(box, rings, floor.shape)
-    own, none = np.where(ground, cell, cell.dtype.type(over.size)), np.full(over.shape, np.inf)
-    top = extent_within(own, z, over, extent_within(own, z, over, none)[0] + config.max_step)[1]  # a board is one tread
+    rows = np.flatnonzero(ground & (cell < over.size))  # of other sheets: few, or none
+    own, none = (cell[rows], z[rows]), np.full(over.shape, np.inf)
+    top = extent_within(*own, over, extent_within(*own, over, none)[0] + config.max_step)[1]  # a board is one tread
     felt, top = grid.felt("treads", 0, sheet, floor, points=True), np.where(np.isfinite(top), top, np.inf)
     (top,) = grid.put("treads", (sheet, floor), felt, [(box, (top,))] if felt.any() else [])
-    low = lowest_around(top[outer], rings)[within(box, outer)]
-    shown = np.isfinite(extent_within(cell, z, low - config.max_step, under(low - LEAST_OBSTACLE))[0])
+    low, shown = lowest_around(top[outer], rings)[within(box, outer)], np.zeros(over.shape, dtype=bool)
+    if np.isfinite(low).any():
+        shown = np.isfinite(extent_within(cell, z, low - config.max_step, under(low - LEAST_OBSTACLE))[0])
     felt = grid.felt("undersides", rings, sheet, top, points=True)
     (shown,) = grid.put("undersides", (sheet, top), felt, [(box, (shown,))] if felt.any() else [])
 

@@ -42,7 +42,7 @@ from gpdf_service.tiles.nodes import (
 from gpdf_service.tiles.pairs import medians_around
 from gpdf_service.tiles.pieces import find_pieces
 from gpdf_service.tiles.width import cell_width_of, in_steps, layer_gap, widest_cell
-from gpdf_service.types import BoolArray, FloatArray
+from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 NO_SURFACE = ("ground", "no surface in the cloud is wide and level enough to stand on", "Is z up?")
 """What was looked for, what was found, what to try."""
@@ -114,18 +114,17 @@ class Segmentation:
         """The same without what only the build needed."""
         return replace(self, near=self.near.lasting())
 
-    def holds(self, points: FloatArray) -> BoolArray:
-        """Which of the points (n, 3) [m] that the layers were built from are ground, shape (n,)."""
-        layers, held = self.layers, np.empty(len(points), dtype=bool)
+    def holds(self, points: FloatArray, node: IntArray | None = None) -> BoolArray:
+        """Which of the points (n, 3) [m] that the layers were built from are ground, shape (n,).
+
+        The `node` of each, shape (n,), is looked up when it is not given.
+        """
+        node, held = nodes_of(self.layers, points) if node is None else node, np.empty(len(points), dtype=bool)
         begin, end = self.near.strips_of(points)
         low, high, under = (np.concatenate(each[begin:end]) for each in self.extents)
         first = int(self.near.first[begin])
-        scatter = np.broadcast_to(self.scatter, len(layers.cell))[first : first + len(low)].copy()
-
-        def hold(a: int, b: int) -> None:
-            held_by(points[a:b], nodes_of(layers, points[a:b]) - first, (low, high, under, scatter), held[a:b])
-
-        run_chunked(hold, len(points))
+        ground = low, high, under, np.broadcast_to(self.scatter, len(self.layers.cell))[first : first + len(low)].copy()
+        run_chunked(lambda a, b: held_by(points[a:b], node[a:b], first, ground, held[a:b]), len(points))
         return held
 
 
@@ -146,15 +145,20 @@ def segment(
     can be left of it.
     """
     layers, relief = first_layers(cloud, config, width), LEVEL
+    node = nodes_of(layers, cloud)
     if noise is not None:
         relief = np.zeros(len(layers.cell))
-        np.maximum.at(relief, nodes_of(layers, cloud), noise)
-    found = segment_layers(beside(layers), config, relief, cloud)
-    return found.holds(cloud), found.lasting()
+        np.maximum.at(relief, node, noise)
+    found = segment_layers(beside(layers), config, relief, (cloud, node))
+    return found.holds(cloud, node), found.lasting()
 
 
 def segment_layers(
-    near: Beside, config: PerceptionConfig, relief: FloatArray, held: FloatArray | None = None, deviation: float = 0.0
+    near: Beside,
+    config: PerceptionConfig,
+    relief: FloatArray,
+    held: tuple[FloatArray, IntArray] | None = None,
+    deviation: float = 0.0,
 ) -> Segmentation:
     """Find the ground in layers.
 
@@ -162,14 +166,14 @@ def segment_layers(
         near: Their nodes.
         config: Limits.
         relief: What is no higher is of the ground [m], shape (k,), or (1,) where it is the same everywhere.
-        held: The points (n, 3) [m] that tell the deviation; else it is as given.
+        held: The points (n, 3) [m] that tell the deviation, and the node of each, shape (n,); else it is as given.
         deviation: Of the points of the ground around it [m].
     """
     ground = find_ground(near, config, relief)
     (smooth,) = near.around("smooth", 1, _smoothed, ground)
     if held is not None:
         low = np.concatenate(ground) & (near.layers.thickness <= config.max_step)  # a wall's foot tells no scatter
-        off = off_ground(held, nodes_of(near.layers, held), low, np.concatenate(smooth))
+        off = off_ground(*held, low, np.concatenate(smooth))
         deviation = ROBUST * float(np.median(off)) if len(off) else 0.0
     extents = partial(_extents, scatter=scatter_of(deviation, relief), config=config)
     return Segmentation(near, near.around("extents", 2, extents, ground, smooth), deviation, relief)

@@ -36,17 +36,25 @@ def find_stances(layers: Layers, among: BoolArray) -> BoolArray:
 
 
 @njit(cache=True, nogil=True)
+def _chords(reach: float) -> IntArray:
+    """How many cells on each side of the middle are within `reach` [cells] of it, in its row and those after it."""
+    made = np.zeros(int(reach) + 1, np.int64)
+    for away in range(len(made)):
+        while away**2 + (made[away] + 1) ** 2 <= reach**2:
+            made[away] += 1
+    return made
+
+
+@njit(cache=True, nogil=True)
 def _stances(nodes: IntArray, columns: Columns, top: FloatArray, reach: float, made: BoolArray) -> None:
-    (cell, start, (nx, ny), height, thickness), rings = columns, int(np.ceil(reach))
+    (cell, start, (nx, ny), height, thickness), rings, wide = columns, int(reach), _chords(reach)
     for i in nodes:
         x, y, free = cell[i] // ny, cell[i] % ny, True
         low, high = height[i] + LEGS[0], height[i] + LEGS[1]
         for u in range(max(x - rings, 0), min(x + rings + 1, nx)):
-            for v in range(max(y - rings, 0), min(y + rings + 1, ny)):
-                if (u - x) ** 2 + (v - y) ** 2 > reach**2:
-                    continue
-                for j in range(start[u * ny + v], start[u * ny + v + 1]):
-                    free &= not (top[j] > low and top[j] - thickness[j] < high)
+            aside = wide[abs(u - x)]
+            for j in range(start[u * ny + max(y - aside, 0)], start[u * ny + min(y + aside + 1, ny)]):
+                free &= (top[j] <= low) | (top[j] - thickness[j] >= high)
             if not free:
                 break
         made[i] = free
@@ -66,22 +74,20 @@ def find_strides(
     for i in range(len(cell)):
         if stance[i]:
             rim[i] = not _inside(i, columns, stance, part)
-    rings = int(reach)
-    mixed, wide = _mixed(columns, rim, part, rings), max(rings, 1)
+    rings, wide = int(reach), _chords(reach)
+    mixed, side = _mixed(columns, rim, part, rings), max(rings, 1)
     best, far = np.empty(64, np.int64), np.empty(64)
     for i in range(len(cell)):
         x, y, used = cell[i] // ny, cell[i] % ny, 0
-        if not (rim[i] and mixed[x // wide, y // wide]):
+        if not (rim[i] and mixed[x // side, y // side]):
             continue
         for u in range(x, min(x + rings + 1, nx)):  # only nodes after it are looked at
-            for v in range(max(y - rings, 0) if u > x else y, min(y + rings + 1, ny)):
-                away = (u - x) ** 2 + (v - y) ** 2
-                if away > reach**2:
+            begin = start[u * ny + max(y - wide[u - x], 0)] if u > x else i + 1
+            for j in range(begin, start[u * ny + min(y + wide[u - x] + 1, ny)]):
+                if not rim[j] or part[j] == part[i] or abs(height[j] - height[i]) > rise:
                     continue
-                for j in range(start[u * ny + v], start[u * ny + v + 1]):
-                    if j <= i or not rim[j] or part[j] == part[i] or abs(height[j] - height[i]) > rise:
-                        continue
-                    used = _nearest(best, far, used, j, float(away), part)
+                away = (u - x) ** 2 + (cell[j] - u * ny - y) ** 2
+                used = _nearest(best, far, used, j, float(away), part)
         for k in range(used):
             one.append(i)
             other.append(best[k])

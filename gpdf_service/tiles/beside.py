@@ -25,6 +25,7 @@ from gpdf_service.fields.threads import run_parallel
 from gpdf_service.tiles.boxes import Box, span
 from gpdf_service.tiles.columns import box_spliced, box_unlike, unlike_cells
 from gpdf_service.tiles.layers import Layers, crop_layers, flat
+from gpdf_service.tiles.rows import rows_over
 from gpdf_service.tiles.told import grown, within
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -195,9 +196,8 @@ class Beside:
 
     def strips_of(self, points: FloatArray) -> tuple[int, int]:
         """The first strip and behind the last that hold points (n, 3) [m]; one strip for none."""
-        x = (points[:, 0] - self.layers.origin[0]) / (ROWS * self.layers.cell_width)
-        ends = (int(x.min()), int(x.max())) if len(points) else (0, 0)
-        return max(ends[0] - 1, 0), min(ends[1] + 2, len(self.nodes))  # rounding: one more
+        first, last = rows_over(points, self.layers.origin, ROWS * self.layers.cell_width)
+        return max(first - 1, 0), min(last + 2, len(self.nodes))  # rounding: one more
 
     def unlike(self, told: Sequence[Strips], then: Beside, was: Sequence[Strips]) -> BoolArray:
         """Cells whose nodes are told otherwise than in another version, or are others, shape (nx, ny)."""

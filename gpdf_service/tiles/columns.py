@@ -56,18 +56,18 @@ def compacted(cell: IntArray, cells: int) -> tuple[IntArray, int, IntArray]:
 
 def by_cell(cell: IntArray, cells: int) -> tuple[IntArray, IntArray]:
     """Where each of the cells begins, shape (cells + 1,), in the order of the points by cell, shape (n,)."""
-    start, order = np.zeros(cells + 1, np.int64), np.empty(len(cell), INDEX)
+    start, order = np.empty(cells + 1, np.int64), np.empty(len(cell), INDEX)
     _count_out(cell, start, order)
     return start, order
 
 
 @njit(cache=True, nogil=True)
 def _count_out(cell: IntArray, start: IntArray, order: IntArray) -> None:
+    place, before = np.zeros(len(start), order.dtype), 0  # looked up at random: half as wide, more is in the caches
     for c in cell:
-        start[c + 1] += 1
-    for c in range(len(start) - 1):
-        start[c + 1] += start[c]
-    place = start[:-1].copy()
+        place[c] += 1
+    for c in range(len(start)):
+        start[c], before, place[c] = before, before + place[c], before
     for i in range(len(cell)):
         order[place[cell[i]]] = i
         place[cell[i]] += 1
@@ -75,10 +75,10 @@ def _count_out(cell: IntArray, start: IntArray, order: IntArray) -> None:
 
 @njit(cache=True, nogil=True)
 def _sort_columns(start: IntArray, points: FloatArray, order: IntArray, z: FloatArray, begin: int, end: int) -> None:
+    for i in range(start[begin], start[end]):  # by itself: no guess of a branch of the sorting waits for memory
+        z[i] = points[order[i], 2]
     for c in range(begin, end):
         a, b = start[c], start[c + 1]
-        for i in range(a, b):
-            z[i] = points[order[i], 2]
         if b - a > _FEW:
             upward = np.argsort(z[a:b], kind="mergesort")
             z[a:b], order[a:b] = z[a:b][upward], order[a:b][upward]

@@ -24,7 +24,7 @@ from gpdf_service.tiles.columns import (
     write_nodes,
 )
 from gpdf_service.tiles.pairs import Columns, pairs_at
-from gpdf_service.tiles.rows import INDEX, bounds_of, cells_of, rows_by_cell, rows_of_runs
+from gpdf_service.tiles.rows import INDEX, bounds_of, cells_of, rows_by_cell, rows_of_runs, rows_over
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 BOARD = 0.02
@@ -140,10 +140,9 @@ class Layers:
 
     def grid_of(self, points: FloatArray) -> Grid:
         """What tells the nodes of points (n, 3) [m], for `node_at`."""
-        nx, ny = self.shape
-        x = (points[:, 0] - self.origin[0]) / self.cell_width if len(points) else np.zeros(1)
-        low = min(max(int(x.min()) - 1, 0), nx - 1)  # rounding: a row more
-        part = self.rows(low, max(min(int(x.max()) + 2, nx), low + 1))
+        (nx, ny), (first, last) = self.shape, rows_over(points, self.origin, self.cell_width)
+        low = min(max(first - 1, 0), nx - 1)  # rounding: a row more
+        part = self.rows(low, max(min(last + 2, nx), low + 1))
         return self.origin, self.cell_width, ny, self.start, part.top, int(self.start[low * ny])
 
 
@@ -246,7 +245,7 @@ def build_layers(points: FloatArray, cell_width: float, gap: float, *, like: Lay
     first = np.concatenate([np.zeros(low, np.int64), first, np.full(shape[0] * shape[1] - high, count)])
     height = tops_of_boards(np.arange(count), (cell_of, first, shape), middle, face, BOARD)
     ends = first[np.minimum(np.arange(0, shape[0] + STRIP, STRIP), shape[0]) * shape[1]].tolist()
-    told = np.ascontiguousarray(points[row, :2]), top, headroom, middle, face
+    told = np.ascontiguousarray(points.take(row, axis=0)[:, :2]), top, headroom, middle, face
     rest = tuple(Rest(*(each[a:b] for each in told)) for a, b in pairwise(ends))
     return Layers(origin, cell_width, shape, cell_of, height, thickness, first, rest)
 

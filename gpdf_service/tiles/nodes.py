@@ -304,12 +304,19 @@ def whole_around(columns: Columns, inside: BoolArray, end: BoolArray, max_step: 
 
 @njit(cache=True, nogil=True)
 def held_by(
-    points: FloatArray, node: IntArray, ground: tuple[FloatArray, FloatArray, FloatArray, FloatArray], held: BoolArray
+    points: FloatArray,
+    node: IntArray,
+    first: int,
+    ground: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    held: BoolArray,
 ) -> None:
-    """Whether points in the nodes `node` are within `scatter` of the ground there, or `beside` [m], in height."""
+    """Whether points in the nodes `node` are within `scatter` of the ground there, or `beside` [m], in height.
+
+    The ground is told from node number `first` on.
+    """
     low, high, beside, scatter = ground
     for i in range(len(node)):
-        n, z = node[i], points[i, 2]
+        n, z = node[i] - first, points[i, 2]
         near = scatter[n]
         held[i] = low[n] - near <= z <= high[n] + near or abs(z - beside[n]) <= near
 

@@ -114,7 +114,7 @@ class Points:
         """
         grid, count, asked = (origin, width, wanted), len(self.base.points), self.there if kind is None else kind
         rows, more = _inside(self.base.points, asked, self.base.squares, grid), rows_in_cells(self.more, *grid)
-        return np.concatenate([np.sort(rows).astype(np.int64), more[asked[count + more]] + count])
+        return np.concatenate([np.sort(rows), more[asked[count + more]] + count])
 
     def bounds(self, chosen: BoolArray) -> tuple[FloatArray, FloatArray]:
         """Least and greatest (x, y) [m] of the `chosen` points, shape (n + k,)."""
@@ -164,20 +164,27 @@ _Cells = tuple[FloatArray, float, BoolArray]
 
 
 @njit(cache=True, nogil=True)
-def _inside(points: FloatArray, asked: BoolArray, squares: _Squares, cells: _Cells) -> IntArray:
+def _inside(points: FloatArray, asked: BoolArray, squares: _Squares, grid: _Cells) -> IntArray:
     """Numbers of the `asked` points in the wanted cells of a grid: only squares are read that meet one."""
-    (corner, wide, shape, start, order), (origin, width, wanted) = squares, cells
+    (corner, wide, shape, start, order), (origin, width, wanted) = squares, grid
     found, used, (left, right, near, far) = np.empty(_BLOCK, INDEX), 0, span(wanted)
     side, x, y = width / wide, (origin[0] - corner[0]) / wide, (origin[1] - corner[1]) / wide  # in squares
     for u in range(max(int(x + (left - 1) * side), 0), min(int(x + (right + 1) * side) + 1, shape[0])):
-        i, k = max(int((u - x) / side) - 1, left), min(int((u + 1 - x) / side) + 2, right)  # rounding: a cell more
+        i, k = int((u - x) / side) - 1, int((u + 1 - x) / side) + 2  # rounding: a cell more
         for v in range(max(int(y + (near - 1) * side), 0), min(int(y + (far + 1) * side) + 1, shape[1])):
-            j, m = max(int((v - y) / side) - 1, near), min(int((v + 1 - y) / side) + 2, far)
-            if i >= k or j >= m or not wanted[i:k, j:m].any():
+            j, m = int((v - y) / side) - 1, int((v + 1 - y) / side) + 2
+            cells = wanted[max(i, left) : min(k, right), max(j, near) : min(m, far)]
+            if not cells.any():
                 continue
+            whole = cells.size == (k - i) * (m - j) and cells.all()  # then none of its points is read
             square = order[start[u * shape[1] + v] : start[u * shape[1] + v + 1]]
             if used + len(square) > len(found):
                 found = longer(found, 2 * (used + len(square)))
+            if whole:
+                for n in square:
+                    found[used] = n
+                    used += asked[n]
+                continue
             for n in square:
                 if not asked[n]:
                     continue

