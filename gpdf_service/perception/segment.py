@@ -27,7 +27,7 @@ from gpdf_service.perception.parts import (
 from gpdf_service.perception.slabs import undersides, without_ceilings
 from gpdf_service.perception.strides import BODY, find_between, find_footing, find_stances
 from gpdf_service.tiles.beside import Beside, Strips, beside, beside_now
-from gpdf_service.tiles.layers import Layers, build_layers, connect, nodes_of
+from gpdf_service.tiles.layers import HALF, Layers, build_layers, connect, nodes_of
 from gpdf_service.tiles.nodes import (
     degrees,
     drops_beside,
@@ -52,10 +52,8 @@ LEAST_SCATTER = 0.02
 """[m] Scatter of a good scanner's floor; three robust standard deviations of the residuals where that is more."""
 LEVEL = np.zeros(1)
 """[m] Relief of a clean cloud's ground: what was seen is there."""
-LEAST_RISER = 0.1
-"""[m] Lowest riser of a stair, by the International Building Code, 1011.5.2."""
-HALF_RISER = 0.5 * LEAST_RISER
-"""[m] In cells of a riser's face alone the ground is half-way up."""
+HALF_RISER = 0.07
+"""[m] Of the lowest riser of a stair, by DIN 18065: in cells of a riser's face alone the ground is half-way up."""
 ROOF_SHARE = 0.2
 """[-] Of a roof's rim that ground can touch, the rest being a drop: a terrace at one corner, a neighbour's wall."""
 
@@ -302,7 +300,8 @@ def _surfaces(
     stands = width * float(np.tan(config.standable_slope))
     gentle = degrees(layers.columns, open_, stands) >= need
     gentle |= find_footing(layers, open_, asked & core & ~gentle, stands, need)
-    flat = core & ((smooth > need) | gentle) & (_slope(layers, core, config) <= config.standable_slope)
+    slope = _slope(layers, core, config)
+    flat = core & ((smooth > need) | gentle) & (_level(layers, core) | (slope <= config.standable_slope))
     return core, keep, flat, smooth == 8
 
 
@@ -351,13 +350,14 @@ def _roofs(near: Beside, smooth: Strips, flat: Strips, rise: float, config: Perc
     return pieces.chosen("roofs", large & (rim < ROOF_SHARE * (rim + ends)))
 
 
-def _slope(layers: Layers, ground: BoolArray, config: PerceptionConfig) -> FloatArray:
-    """Slope at each ground node [rad], of the mean gradient of it and its neighbours on the same slope.
+def _level(layers: Layers, ground: BoolArray) -> BoolArray:
+    """Ground nodes with which half of the cells around are level: treads, though in wide cells a flight is a slope."""
+    return degrees(layers.columns, ground, LEAST_SCATTER) >= len(HALF)
 
-    They go up by twice the steepest slope, or noise flattens it; but in wide cells a stair's next tread is no slope.
-    """
-    rise = layers.cell_width * float(np.tan(config.steepest))
-    pairs = connect(layers, ground, max(rise, min(2.0 * rise, LEAST_RISER)))
+
+def _slope(layers: Layers, ground: BoolArray, config: PerceptionConfig) -> FloatArray:
+    """Slope at each ground node [rad], of the mean gradient of it and its neighbours on the same slope."""
+    pairs = connect(layers, ground, 2.0 * layers.cell_width * float(np.tan(config.steepest)))  # or noise flattens it
     gradient = mean_gradients(layers.height, layers.cell, layers.shape[1], *pairs)
     return np.arctan(gradient / layers.cell_width)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numba import njit
+from scipy.spatial import cKDTree
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.ground.foot import HALF_FOOT, STRIDE
@@ -13,9 +13,8 @@ from gpdf_service.perception.parts import OVER_SHARE, TABLE_AREA, Parts, build_p
 from gpdf_service.tiles.beside import Answer, Beside, Strips
 from gpdf_service.tiles.layers import Layers, Pairs
 from gpdf_service.tiles.nodes import joined_to
-from gpdf_service.tiles.pairs import Columns
 from gpdf_service.tiles.pieces import find_pieces
-from gpdf_service.types import BoolArray, IntArray
+from gpdf_service.types import BoolArray
 
 
 def _slabs(near: Beside, parts: Parts, config: PerceptionConfig) -> tuple[Strips, BoolArray]:
@@ -85,8 +84,7 @@ def without_ceilings(
     """What is left of undersides, `scraps` of shape (parts + 1,), is one as well but for treads: one steps down there.
 
     Through a hole in the scan of a slab's top nothing is within a stride below. Where that hole is beside a tread, the
-    tread is what is as near to the one below it as that is deep, at most a stride: a ramp is no tread. From there on
-    the flight is climbed: in wide cells several of its treads are one part.
+    tread is what is as near to the one below it as that is deep, at most a stride: a ramp is no tread.
     """
     if not scraps.any():
         return under, parts, joins
@@ -96,9 +94,11 @@ def without_ceilings(
     down = scraps[high] & ~scraps[low] & (parts.level[high] - parts.level[low] > parts.rise)
     down &= parts.size[low] * layers.cell_width**2 >= HALF_FOOT
     for scrap, below in zip(high[down], low[down], strict=True):
-        reach = min(parts.depth[below], STRIDE) / layers.cell_width + 1.0
-        limits = reach, parts.rise, config.max_step
-        lost[_climbed(layers.columns, np.flatnonzero(of == below), of == scrap, limits)] = False
+        rise = parts.level[scrap] - layers.height  # a ramp and both its storeys are one part
+        tread = (of == below) & (rise > 0.0) & (rise <= config.max_step)
+        own, beneath = np.flatnonzero(of == scrap), np.flatnonzero(tread)
+        off = cKDTree(layers.place[beneath]).query(layers.place[own])[0]
+        lost[own[off <= min(parts.depth[below], STRIDE) + layers.cell_width]] = False
 
     def without(_: Layers, __: BoolArray, *given: BoolArray) -> Answer:
         under, lost, flat, room = given
@@ -113,26 +113,3 @@ def without_ceilings(
     left = replace(left, size=left.counts("room", keep)[0])
     good = (left.size[joins[0]] > 0) & (left.size[joins[1]] > 0)
     return under, left, (joins[0][good], joins[1][good])
-
-
-@njit(cache=True, nogil=True)
-def _climbed(columns: Columns, treads: IntArray, among: BoolArray, limits: tuple[float, float, float]) -> IntArray:
-    """The nodes `among` all that one climbs to from the first `treads`, one after another.
-
-    The `limits` are how many cells apart in plan two treads are at most, and the least and the most rise [m].
-    """
-    (cell, start, (nx, ny), height, _), (reach, least, most) = columns, limits
-    rings, found, front = int(reach), [0 for _ in range(0)], list(treads)
-    left = among.copy()
-    while front:
-        i = front.pop()
-        x, y = cell[i] // ny, cell[i] % ny
-        for u in range(max(x - rings, 0), min(x + rings + 1, nx)):
-            for v in range(max(y - rings, 0), min(y + rings + 1, ny)):
-                for j in range(start[u * ny + v], start[u * ny + v + 1]):
-                    over = height[j] - height[i]
-                    if left[j] and least < over <= most and (u - x) ** 2 + (v - y) ** 2 <= reach**2:
-                        left[j] = False
-                        found.append(j)
-                        front.append(j)
-    return np.array(found, np.int64)

@@ -13,8 +13,8 @@ from gpdf_service.types import Status
 @pytest.mark.parametrize(
     ("seed", "voxel"),
     [
-        (3, 0.08),  # its treads were slopes: the next one up counted among what is around
-        (2, 0.08),  # seven treads and a landing are one part, as high as the floor's slab at its upper end
+        (3, 0.08),  # its treads were slopes, as the flight is over three cells
+        (2, 0.08),  # its treads and a landing were one part, joined by cells of risers' faces alone
     ],
 )
 def test_a_house_of_wide_voxels_is_climbed(seed, voxel):
