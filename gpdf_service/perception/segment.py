@@ -53,7 +53,7 @@ LEAST_SCATTER = 0.02
 LEVEL = np.zeros(1)
 """[m] Relief of a clean cloud's ground: what was seen is there."""
 HALF_RISER = 0.07
-"""[m] Of the lowest riser of a stair, by DIN 18065: in cells of a riser's face alone the ground is half-way up."""
+"""[m] Half of a stair's lowest riser, 0.14 by DIN 18065: a cell that holds a face alone is half-way between treads."""
 ROOF_SHARE = 0.2
 """[-] Of a roof's rim that ground can touch, the rest being a drop: a terrace at one corner, a neighbour's wall."""
 
