@@ -24,7 +24,7 @@ from gpdf_service.fields import Gpdf, Nearer, check_queries, fit_gpdf
 from gpdf_service.fields.lattice import Lattice, fit_lattice, lattice_of, points_of_lattice, restore_lattice
 from gpdf_service.fields.spacing import estimate_spacing, thin
 from gpdf_service.fields.threads import run_parallel
-from gpdf_service.ground import GroundLevel, Levels, Scan, Touched, are_voxels
+from gpdf_service.ground import GroundLevel, Levels, Scan, Touched, voxel_pitch
 from gpdf_service.ground.foot import LEAST_OBSTACLE
 from gpdf_service.kernel_cache import load_kept
 from gpdf_service.perception import (
@@ -254,7 +254,10 @@ class Scene:
         They keep it until `MAX_DRIFT` of the points have changed: what is measured has steps, and a cloud beside one
         must not take another grid with each chair that is moved, nor be noisy with one and clean with the next.
         """
-        return None if self.perceived is None else Sampling(self.surfaces[0].cell_width, self.noise)
+        if self.perceived is None:
+            return None
+        found = self.perceived.segmentation
+        return Sampling(self.surfaces[0].cell_width, self.noise, 0.0 if found is None else found.pitch)
 
     @property
     def hidden_height(self) -> float:
@@ -272,7 +275,7 @@ class Scene:
         """What obstacles need to know of the cloud."""
         if self._standing is not None:
             return self._standing.scan
-        return Scan(self.noise, self.hidden_height, are_voxels(self._cloud))
+        return Scan(self.noise, self.hidden_height, voxel_pitch(self._cloud) > 0.0)
 
     @property
     def ground_field(self) -> GroundField:

@@ -295,6 +295,26 @@ def test_a_scene_keeps_its_resolution_until_much_of_it_has_changed():
     assert beyond.update(remove=np.arange(200)).sampling.width > width
 
 
+def test_changes_of_voxels_centres_equal_a_scene_from_scratch():
+    """A floor near the upper end of its rung has some points on the next one."""
+    rng, pitch = np.random.default_rng(4), 0.05
+    voxels = np.column_stack([np.indices((80, 80)).reshape(2, -1).T, np.zeros(6400)])
+    above = voxels[rng.random(len(voxels)) < 0.03] + [0, 0, 1]
+    wall = np.array([60, 10, 0]) + np.indices((1, 30, 30)).reshape(3, -1).T
+    scene = gpdf.build_scene(pitch * (np.concatenate([voxels, above, wall]) + 0.5))
+    assert scene.sampling.pitch == pytest.approx(pitch)
+    scene.free_space("human")
+    for corner in ([20, 20, 1], [40, 60, 0], [10, 40, 1]):
+        fresh = pitch * (np.unique(corner + rng.integers(0, [8, 8, 2], (60, 3)), axis=0) + 0.5)
+        near = (np.abs(scene.points[:, :2] / pitch - corner[:2] - [12, 0]) < 6).all(axis=1)
+        changed = scene.update(insert=fresh, remove=near & (scene.points[:, 2] > pitch))
+        assert changed.perceived.touched
+        assert changed.sampling == scene.sampling
+        assert_equal_scenes(changed, from_scratch(changed), "human")
+        assert_equal_findings(changed, from_scratch(changed))
+        scene = changed
+
+
 def test_how_noisy_a_cloud_is_is_kept_as_its_cells_width_is():
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0.0, 6.0, 0.08), np.arange(0.0, 5.0, 0.08)))
     off = np.random.default_rng(3).normal(size=len(x))

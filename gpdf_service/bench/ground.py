@@ -67,6 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--origins", action="store_true", help="houses are built with where the rays began")
     parser.add_argument("--fault", choices=list(FAULTS), help="of the scans of houses, as raw ones have them")
     parser.add_argument("--thin", type=float, default=THIN, help="one point is kept of such a voxel of a house [m]")
+    parser.add_argument("--centres", action="store_true", help="that point is moved into the middle of its voxel")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder of the real clouds")
     parser.add_argument("--json", action="store_true", help="print the rows as JSON")
 
@@ -99,7 +100,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _houses(args: argparse.Namespace) -> Iterator[Row]:
     noise = args.noise[0] if args.noise else None
-    how: How = {"origins": args.origins, "fault": args.fault, "thin": args.thin}
+    how: How = {"origins": args.origins, "fault": args.fault, "thin": args.thin, "centres": args.centres}
     for scanner in args.scanner or ["tripod", "handheld"]:
         yield from house_rows(scanner, args.count, args.seed, noise, **how)
 

@@ -38,7 +38,13 @@ KINDS = tuple(STAIRS)
 
 
 def scanned_house(
-    seed: int, scanner: str, noise: float | None = None, thin: float = THIN, fault: str | None = None
+    seed: int,
+    scanner: str,
+    noise: float | None = None,
+    thin: float = THIN,
+    fault: str | None = None,
+    *,
+    centres: bool = False,
 ) -> tuple[Place, Scan]:
     """A house and its scan; the kind of its stair goes round with the seed.
 
@@ -48,21 +54,24 @@ def scanned_house(
         noise: Along the ray [m]; the scanner's own where it is None.
         thin: Width of the voxels of which one point is kept [m].
         fault: One of `FAULTS`, or none.
+        centres: Whether the points are moved into the middles of these voxels.
     """
     rng = np.random.default_rng(seed)
     place = house(rng, KINDS[seed % len(KINDS)])
     scan = SCANNERS[scanner](place, rng, NOISE[scanner] if noise is None else noise)
     if fault is not None:
         scan = FAULTS[fault](place, scan, rng)
-    return place, scan.thinned(thin, rng)
+    scan = scan.thinned(thin, rng)
+    return place, scan.centred(thin) if centres else scan
 
 
 class How(TypedDict, total=False):
-    """How a house is scanned, thinned and built: told where rays began, and with one of the `FAULTS`."""
+    """How a house is scanned, thinned (to voxels' centres) and built: told where rays began, with one of `FAULTS`."""
 
     origins: bool
     fault: str | None
     thin: float
+    centres: bool
 
 
 def house_rows(
@@ -86,9 +95,10 @@ def measure(
     origins: bool = False,
     fault: str | None = None,
     thin: float = THIN,
+    centres: bool = False,
 ) -> Row:
     """Build one scanned house, told where rays began or not; plan from floor to floor and back; judge what is OK."""
-    place, scan = scanned_house(seed, scanner, noise, thin, fault)
+    place, scan = scanned_house(seed, scanner, noise, thin, fault, centres=centres)
     began = time.process_time()
     row: Row = {"kind": place.name, "points": len(scan.points)}
     try:

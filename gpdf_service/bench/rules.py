@@ -45,6 +45,8 @@ STARTS = 30
 """In each crowded place."""
 WIDE = 0.08
 """[m] Voxels of which one point is kept: a tread is three of them deep."""
+CENTRED = 0.05
+"""[m] Voxels of occupancy maps, of which the centres are kept."""
 
 
 def _false(of: int) -> Callable[..., BoolArray]:
@@ -130,7 +132,8 @@ RULES: dict[str, tuple[str, str, Any]] = {
     "faces of steps": (_G + "obstacles", "_is_face", _false(1)),
     "worn treads": (_G + "obstacles", "on_treads", _false(0)),
     "headroom from the foot's tread": (_G + "obstacles", "_over_head", lambda points, *_: np.ones(len(points), bool)),
-    "voxels": ("gpdf_service.scene", "are_voxels", lambda _: False),
+    "voxels": ("gpdf_service.scene", "voxel_pitch", lambda _: 0.0),
+    "floors between rungs": (_P + "segment", "_between_rungs", lambda layers, _: layers.cell < 0),
     "cure of noise": (_P + "cure", "denoise", lambda points, noise, *_: as_measured(points, noise)),
     "treads under noise": (_P + "cure", "_settle_stairs", lambda *_: None),
     "outliers of things": (_P + "cure", "return_explained", lambda *_: None),
@@ -173,6 +176,7 @@ def rule_rows(data: Path, seed: int, count: int, rules: Sequence[str]) -> Iterat
         "reflections": partial(_reflections, seed),
         "clouds elsewhere": partial(_elsewhere, data),
         "houses of wide voxels": partial(_houses, seed, count, thin=WIDE),
+        "voxels' centres": partial(_houses, seed, count, thin=CENTRED, centres=True),
     }
     whole: dict[str, Row] = {}
     for rule in each(rules, "rules"):

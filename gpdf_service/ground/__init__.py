@@ -10,5 +10,5 @@ from gpdf_service.ground.limits import ObstacleKind as ObstacleKind
 from gpdf_service.ground.obstacles import CLEAN as CLEAN
 from gpdf_service.ground.obstacles import Obstacles as Obstacles
 from gpdf_service.ground.obstacles import Scan as Scan
-from gpdf_service.ground.obstacles import are_voxels as are_voxels
 from gpdf_service.ground.obstacles import obstacles_of as obstacles_of
+from gpdf_service.ground.obstacles import voxel_pitch as voxel_pitch

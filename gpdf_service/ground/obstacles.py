@@ -42,7 +42,7 @@ class Scan(NamedTuple):
     Attributes:
         noise: Standard deviation of its points [m].
         hidden: What is lower may stand on the ground unseen [m].
-        voxels: Whether its points are centres of voxels: `are_voxels`.
+        voxels: Whether its points are centres of voxels: `voxel_pitch`.
     """
 
     noise: float = 0.0
@@ -270,17 +270,17 @@ def _highest_up_to(most: float, height: Float32Array, x: int, y: int, rings: int
     return found
 
 
-def are_voxels(points: Points) -> bool:
-    """Whether points lie at heights of voxels that are larger than what stops no body.
+def voxel_pitch(points: Points) -> float:
+    """Height of the voxels [m] whose centres points are, if that is more than what stops no body; else 0.
 
     Then all lie on rungs, and two surfaces that differ by less than a voxel are as high, or a whole voxel apart.
     """
     first = points.numbers(np.arange(0, points.count, max(1, points.count // _FIRST)))
     pitch = _pitch(points.taken(first)[:, 2])
     if pitch == 0.0:  # nearly always a first look tells
-        return False
+        return 0.0
     z = points.present[:, 2]
-    return _on_rungs(z - z[0], pitch) or _pitch(z) > 0.0
+    return pitch if _on_rungs(z - z[0], pitch) else _pitch(z)
 
 
 def _pitch(z: FloatArray) -> float:

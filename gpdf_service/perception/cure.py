@@ -17,8 +17,10 @@ from gpdf_service.denoise import (
     return_explained,
 )
 from gpdf_service.fields import build_tree, estimate_spacing
+from gpdf_service.ground import voxel_pitch
 from gpdf_service.perception.segment import Segmentation, segment
 from gpdf_service.tiles.columns import compacted
+from gpdf_service.tiles.points import points_of
 from gpdf_service.tiles.rows import bounds_of, cells_of, chosen_rows
 from gpdf_service.tiles.width import columns_over, in_steps
 from gpdf_service.types import BoolArray, FloatArray
@@ -65,10 +67,12 @@ class Sampling(NamedTuple):
     Attributes:
         width: Of the cells that it is looked at in [m].
         noise: Standard deviation of its points [m]; 0 when negligible.
+        pitch: Of the voxels whose centres they are [m], where their ground was found; else 0.
     """
 
     width: float
     noise: float
+    pitch: float = 0.0
 
 
 class _Sample(NamedTuple):
@@ -106,7 +110,7 @@ def cure_and_segment(
             return CuredGround(_clean(points, noise), ground, as_it_was=True)
         return _cured(points, ground, noise, sample.spacing)
     if noise <= least:
-        first, segmentation = segment(points, config)
+        first, segmentation = segment(points, config, pitch=voxel_pitch(points_of(points)))
         noise = _with_double(points, first, sample, least)
         if noise <= least:
             return CuredGround(_clean(points, noise), first, as_it_was=True, segmentation=segmentation)
@@ -116,7 +120,7 @@ def cure_and_segment(
 def _as_it_was(points: FloatArray, ground: BoolArray | None, config: PerceptionConfig, known: Sampling) -> CuredGround:
     segmentation = None
     if ground is None:
-        ground, segmentation = segment(points, config, width=known.width)
+        ground, segmentation = segment(points, config, width=known.width, pitch=known.pitch)
     return CuredGround(_clean(points, known.noise), ground, as_it_was=True, segmentation=segmentation)
 
 

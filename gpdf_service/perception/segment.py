@@ -91,12 +91,14 @@ class Segmentation:
             where there is none.
         deviation: Standard deviation of the points of the ground around it [m].
         relief: What is no higher is of the ground [m], shape (k,), or (1,) where it is the same everywhere.
+        pitch: Of the voxels whose centres the points are [m]; 0 where they are none.
     """
 
     near: Beside
     extents: tuple[Strips, ...]
     deviation: float
     relief: FloatArray
+    pitch: float = 0.0
 
     @property
     def layers(self) -> Layers:
@@ -135,19 +137,24 @@ def first_layers(cloud: FloatArray, config: PerceptionConfig, width: float | Non
 
 
 def segment(
-    cloud: FloatArray, config: PerceptionConfig, *, width: float | None = None, noise: FloatArray | None = None
+    cloud: FloatArray,
+    config: PerceptionConfig,
+    *,
+    width: float | None = None,
+    noise: FloatArray | None = None,
+    pitch: float = 0.0,
 ) -> tuple[BoolArray, Segmentation]:
     """`segment_ground` of points (n, 3) in cells of that `width` [m], and what it was found from.
 
     What is no higher over the ground than the `noise` [m], shape (n,), that the points had there is no thing: so much
-    can be left of it.
+    can be left of it. The `pitch` is that of the voxels whose centres they are [m], or 0.
     """
     layers, relief = first_layers(cloud, config, width), LEVEL
     node = nodes_of(layers, cloud)
     if noise is not None:
         relief = np.zeros(len(layers.cell))
         np.maximum.at(relief, node, noise)
-    found = segment_layers(beside(layers), config, relief, (cloud, node))
+    found = segment_layers(beside(layers), config, relief, (cloud, node), pitch=pitch)
     return found.holds(cloud, node), found.lasting()
 
 
@@ -157,6 +164,7 @@ def segment_layers(
     relief: FloatArray,
     held: tuple[FloatArray, IntArray] | None = None,
     deviation: float = 0.0,
+    pitch: float = 0.0,
 ) -> Segmentation:
     """Find the ground in layers.
 
@@ -166,6 +174,7 @@ def segment_layers(
         relief: What is no higher is of the ground [m], shape (k,), or (1,) where it is the same everywhere.
         held: The points (n, 3) [m] that tell the deviation, and the node of each, shape (n,); else it is as given.
         deviation: Of the points of the ground around it [m].
+        pitch: Of the voxels whose centres the points are [m], or 0.
     """
     ground = find_ground(near, config, relief)
     (smooth,) = near.around("smooth", 1, _smoothed, ground)
@@ -174,7 +183,10 @@ def segment_layers(
         off = off_ground(*held, low, np.concatenate(smooth))
         deviation = ROBUST * float(np.median(off)) if len(off) else 0.0
     extents = partial(_extents, scatter=scatter_of(deviation, relief), config=config)
-    return Segmentation(near, near.around("extents", 2, extents, ground, smooth), deviation, relief)
+    *ends, under = near.around("extents", 2, extents, ground, smooth)
+    if pitch > 0.0:
+        ends[:] = near.around("rungs", 1, partial(_with_rungs, pitch=pitch), ground, *ends)
+    return Segmentation(near, (*ends, under), deviation, relief, pitch)
 
 
 def change_segmentation(
@@ -184,7 +196,8 @@ def change_segmentation(
     layers, cells = change_layers(old.layers, cloud, cloud.points.there, config)
     found = old
     if layers is not old.layers:
-        found = segment_layers(beside_now(old.near, layers, cells), config, old.relief, deviation=old.deviation)
+        now = beside_now(old.near, layers, cells)
+        found = segment_layers(now, config, old.relief, deviation=old.deviation, pitch=old.pitch)
         cells |= found.near.unlike(found.extents, old.near, old.extents)
     rows, points = cloud.part(layers, cells)
     ground = before.copy()
@@ -206,6 +219,29 @@ def _extents(
     )
     low, high = across
     return np.where(_grooves(layers, ground, low - scatter), layers.height, low), high, beneath
+
+
+def _with_rungs(
+    layers: Layers, _: BoolArray, ground: BoolArray, low: FloatArray, high: FloatArray, pitch: float
+) -> tuple[FloatArray, FloatArray]:
+    """Ends `low` and `high` of the ground within each node's cell [m], with both rungs of a floor between two."""
+    both, top = ground & _between_rungs(layers, pitch), layers.top
+    return np.where(both, np.minimum(low, top - layers.thickness), low), np.where(both, np.maximum(high, top), high)
+
+
+def _between_rungs(layers: Layers, pitch: float) -> BoolArray:
+    """Nodes on two rungs of voxels, one of which all cells around show: a floor between these has points on both.
+
+    At a step each rung has its side, and beneath what is wider than a cell nobody sees the floor.
+    """
+    every, columns, top = np.ones(len(layers.cell), dtype=bool), layers.columns, layers.top
+    both: BoolArray = np.abs(layers.thickness - pitch) < 0.5 * pitch
+    bottom, lid = (
+        degrees(columns._replace(height=rung), every, 0.25 * pitch) == 2 * len(HALF)
+        for rung in (top - layers.thickness, top)
+    )
+    both &= bottom | lid
+    return both
 
 
 def _grooves(layers: Layers, ground: BoolArray, low: FloatArray) -> BoolArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -64,6 +64,10 @@ class Scan:
         size = cell.max(axis=0) + 1
         _, first = np.unique((cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2], return_index=True)
         return self.of(np.sort(order[first]))
+
+    def centred(self, width: float) -> Scan:
+        """Each point in the middle of its voxel of this width [m], as an occupancy map hands them on."""
+        return replace(self, points=(np.floor(self.points / width) + 0.5) * width)
 
     def of(self, rows: IntArray | BoolArray) -> Scan:
         """Some of its points."""

@@ -10,7 +10,7 @@ from gpdf_service.ground import footing
 from gpdf_service.ground.footing import by_treads, footholds, footing_reach, is_tread, on_treads, rings_of
 from gpdf_service.ground.level import GroundLevel
 from gpdf_service.ground.limits import ObstacleKind
-from gpdf_service.ground.obstacles import Scan, are_voxels, obstacles_felt, obstacles_of, obstacles_reach
+from gpdf_service.ground.obstacles import Scan, obstacles_felt, obstacles_of, obstacles_reach, voxel_pitch
 from gpdf_service.tiles.boxes import widened
 from gpdf_service.tiles.points import points_of
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, cropped
@@ -281,7 +281,7 @@ def test_a_lintel_before_a_ledge_on_a_flight_stops_who_has_no_room_behind_its_no
 
 
 def at_voxels(z):
-    return are_voxels(points_of(np.column_stack([np.zeros((len(z), 2)), z])))
+    return voxel_pitch(points_of(np.column_stack([np.zeros((len(z), 2)), z]))) > 0.0
 
 
 @pytest.mark.parametrize("pitch", [0.05, 0.2])
@@ -294,7 +294,7 @@ def test_heights_are_those_of_voxels_where_all_of_them_are(pitch, odd):
     assert at_voxels(z) == (odd is None)
 
 
-def test_voxels_of_which_those_that_are_looked_at_first_lie_on_every_second_rung_are_voxels():
+def test_voxels_of_which_those_that_are_looked_at_first_lie_on_every_second_rung_voxel_pitch():
     z = 0.05 * np.arange(3000)
     z[::3] = 0.1 * np.arange(1000)
     assert at_voxels(z)
