@@ -148,24 +148,12 @@ def fit_lattice(lattice: Lattice, domain: Domain, former: tuple[Gpdf, Lattice] |
     return _field(lattice, tree, rows, alpha, discs, domain)
 
 
-def restore_lattice(
-    lattice: Lattice,
-    alpha: FloatArray,
-    domain: Domain,
-    discs: FloatArray | None = None,
-    points: FloatArray | None = None,
-) -> Gpdf:
-    """The field over a lattice whose α, shape (n,), is known; and its discs, (n, 6), or they are told on first use.
-
-    Both lie in the lattice's order, or in that of `points`, (n, 3).
-    """
+def restore_lattice(lattice: Lattice, alpha: FloatArray, domain: Domain) -> Gpdf:
+    """The field over a lattice whose α, shape (n,), is known; its discs are told on first use."""
     rows = _rows_of(lattice)
-    if points is not None:
-        old, new = (_flat_cells(each, lattice) for each in (points, _points_of(lattice, rows)))
-        order = np.argsort(old)
-        taken = order[np.searchsorted(old, new, sorter=order)]
-        alpha, discs = alpha[taken], None if discs is None else discs[taken]
-    return _field(lattice, _tree_of(_points_of(lattice, rows), rows), rows, alpha, discs, domain)
+    points = np.empty((len(alpha), 3))
+    run_parallel(lambda k: _put_points(lattice, _layout() + rows.tile[k], points[rows.of(k)]), range(len(rows.tile)))
+    return _field(lattice, _tree_of(points, rows), rows, alpha, None, domain)
 
 
 def _discs_of(lattice: Lattice, rows: _Rows) -> FloatArray:
@@ -188,24 +176,6 @@ def _field(
     told = partial(_discs_of, lattice, rows) if discs is None else discs
     own = lattice.length_scale, lattice.noise_variance, lattice.spacing
     return Gpdf(tree, alpha, told, np.broadcast_to(0.0, len(alpha)), own, domain)
-
-
-def points_of_lattice(lattice: Lattice) -> FloatArray:
-    """All points in the lattice's order, shape (n, 3) [m]."""
-    return _points_of(lattice, _rows_of(lattice))
-
-
-def _points_of(lattice: Lattice, rows: _Rows) -> FloatArray:
-    """All points in their order, shape (n, 3)."""
-    points = np.empty((int(rows.first[-1]), 3))
-    run_parallel(lambda k: _put_points(lattice, _layout() + rows.tile[k], points[rows.of(k)]), range(len(rows.tile)))
-    return points
-
-
-def _flat_cells(points: FloatArray, lattice: Lattice) -> IntArray:
-    x, y = np.floor((points[:, :2] - lattice.origin) / lattice.width).astype(np.int64).T
-    flat: IntArray = x * lattice.height.shape[1] + y
-    return flat
 
 
 def _sources(lattice: Lattice, rows: _Rows, reach: int, former: tuple[Gpdf, Lattice] | None) -> tuple[IntArray, _Rows]:
