@@ -8,10 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.fields.edge import EDGE, fit_pair, nearest_half
 from gpdf_service.fields.heights import Sums, make_sums, quadric_rest
 from gpdf_service.fields.order import corners_of, is_before, order_by
-from gpdf_service.fields.shapes import MOST, add, fit_axis, fit_plane, gather
+from gpdf_service.fields.shapes import EDGE, MOST, add, fit_axis, fit_pair, fit_plane, gather, nearest_half
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.tree import Tree, build_tree, from_root, make_look, make_scratch, next_leaf, place_of
 from gpdf_service.kernel_cache import lean

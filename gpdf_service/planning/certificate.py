@@ -25,7 +25,7 @@ from gpdf_service.planning.footprint import travel_headings
 from gpdf_service.planning.shape import runs
 from gpdf_service.planning.words import measure, place_words
 from gpdf_service.search.free_space import FreeSpace
-from gpdf_service.search.motion import least_distance
+from gpdf_service.search.places import least_distance
 from gpdf_service.search.ways import Fields, Here, fields_of, here
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, Cells, cell_of, count_in, is_known
 from gpdf_service.types import BoolArray, Certificate, FloatArray, IntArray

@@ -18,9 +18,8 @@ from gpdf_service.planning.footprint import disc_places
 from gpdf_service.planning.shape import radius_within
 from gpdf_service.planning.words import measure, metres, place_words
 from gpdf_service.search.free_space import FreeSpace
-from gpdf_service.search.motion import is_straight_clear
 from gpdf_service.search.nearest import nearest_free
-from gpdf_service.search.places import Places
+from gpdf_service.search.places import Places, is_straight_clear
 from gpdf_service.tiles.surface import UNKNOWN, height_of, is_same_ground
 from gpdf_service.types import FloatArray, PlanOptions, Status
 

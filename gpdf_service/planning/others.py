@@ -13,8 +13,7 @@ from gpdf_service.fields.tree import make_scratch
 from gpdf_service.planning.endpoints import Ends
 from gpdf_service.planning.routes import Leg, Route, Wish, avoiding, find_cheapest, pull_all, way_takes_of
 from gpdf_service.planning.shape import is_straight, resample
-from gpdf_service.search.free_space import FreeSpace
-from gpdf_service.search.steps import NOTICED_STEP
+from gpdf_service.search.free_space import NOTICED_STEP, FreeSpace
 from gpdf_service.search.ways import STEPPED, Prefer, Ways, prices
 from gpdf_service.types import FloatArray
 

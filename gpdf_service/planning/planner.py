@@ -29,8 +29,7 @@ from gpdf_service.planning.shape import lengths
 from gpdf_service.planning.timing import speed_limit
 from gpdf_service.planning.turning import Facing, Stuck, time_poses, turn_route
 from gpdf_service.search.free_space import FreeSpace
-from gpdf_service.search.steps import count_steps
-from gpdf_service.search.ways import STEPPED, WIDE, Prefer, Ways, fields_of, here, prices
+from gpdf_service.search.ways import STEPPED, WIDE, Prefer, Ways, count_steps, fields_of, here, prices
 from gpdf_service.types import Agent, Certificate, FloatArray, IntArray, PlanOptions, PlanResult, Status, Trajectory
 
 Clock = Callable[[], float]

@@ -30,7 +30,6 @@ from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.graph import Doors, Graph, find_way
 from gpdf_service.search.layered import below
 from gpdf_service.search.places import Places, distance_at
-from gpdf_service.search.steps import is_near_step
 from gpdf_service.search.ways import (
     LEDGE,
     LENGTH,
@@ -45,6 +44,7 @@ from gpdf_service.search.ways import (
     beside,
     boxed,
     here,
+    is_near_step,
     least_takes,
     prices,
     straight_takes,

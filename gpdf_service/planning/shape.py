@@ -14,8 +14,7 @@ from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.kernel_cache import lean
 from gpdf_service.planning.costs import Memo, make_memo, recall
 from gpdf_service.search.core import NARROW
-from gpdf_service.search.motion import RESOLUTION, is_leap_clear, is_straight_clear
-from gpdf_service.search.places import Places, distance_at
+from gpdf_service.search.places import RESOLUTION, Places, distance_at, is_leap_clear, is_straight_clear
 from gpdf_service.tiles.surface import UNKNOWN, Cells, cell_of, height_of, rise_around
 from gpdf_service.types import FloatArray, IntArray
 

@@ -20,8 +20,7 @@ from gpdf_service.planning.footprint import directions
 from gpdf_service.planning.shape import SAME, lengths, runs
 from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.places import nearest_of
-from gpdf_service.search.steps import is_stepped
-from gpdf_service.search.ways import CARE, LENGTH, TIGHT, UNSEEN, Beside, Here, Prefer, here, least_takes
+from gpdf_service.search.ways import CARE, LENGTH, TIGHT, UNSEEN, Beside, Here, Prefer, here, is_stepped, least_takes
 from gpdf_service.types import Agent, FloatArray, IntArray
 
 STANDING = 1e-3

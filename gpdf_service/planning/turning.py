@@ -13,7 +13,7 @@ from gpdf_service.planning.timing import STILL, time_path
 from gpdf_service.planning.words import measure, place_words
 from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.lattice import MOST_POSES, POSES_PER_SECOND, PoseSearch, find_poses, moving
-from gpdf_service.search.motion import leap
+from gpdf_service.search.places import leap
 from gpdf_service.types import Agent, FloatArray, Status
 
 Facing = tuple[float | None, float | None]

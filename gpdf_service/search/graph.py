@@ -18,8 +18,7 @@ from gpdf_service.fields.tree import make_scratch
 from gpdf_service.kernel_cache import lean
 from gpdf_service.search.landmarks import NO_LANDMARKS, Landmarks, at_least, bounds_to
 from gpdf_service.search.layered import Rows, below
-from gpdf_service.search.motion import is_straight_clear
-from gpdf_service.search.places import Places
+from gpdf_service.search.places import Places, is_straight_clear
 from gpdf_service.search.quadtree import Quadtree
 from gpdf_service.search.resplit import Leaves, centers
 from gpdf_service.tiles.nodes import components

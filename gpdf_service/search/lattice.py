@@ -13,10 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.search.motion import is_motion_clear, turned
-from gpdf_service.search.places import Places
-from gpdf_service.search.poses import Grid, free_poses
-from gpdf_service.search.wavefront import TURNS, Field, field_of, follow, is_reached, mend, row_of, spread
+from gpdf_service.search.places import Places, is_motion_clear, turned
+from gpdf_service.search.poses import TURNS, Field, Grid, field_of, follow, free_poses, is_reached, mend, row_of, spread
 from gpdf_service.tiles import HeightMap
 from gpdf_service.types import FloatArray, IntArray
 

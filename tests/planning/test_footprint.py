@@ -15,7 +15,7 @@ from gpdf_service.planning.costs import Discs, Task, make_memo, obstacle_cost
 from gpdf_service.planning.footprint import disc_places, face, travel_headings
 from gpdf_service.planning.turning import time_poses
 from gpdf_service.search.lattice import find_poses
-from gpdf_service.search.motion import is_motion_clear
+from gpdf_service.search.places import is_motion_clear
 from gpdf_service.synthetic import Box, Pillar, World, random_room
 from gpdf_service.types import AGENTS
 
