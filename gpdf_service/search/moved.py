@@ -29,13 +29,9 @@ from gpdf_service.types import Agent, FloatArray, IntArray
 
 
 def add_moving(space: FreeSpace, levels: Levels, points: FloatArray, setup: Setup) -> FreeSpace:
-    """The free space with more points (k, 3) [m] in it, in time by what they touch.
+    """The free space of what stands, built of these levels by this `setup`, with `points` in it that move, (k, 3) [m].
 
-    Args:
-        space: Of what stands, without anything that moves.
-        levels: The same that it was built of.
-        points: What moves.
-        setup: How the space of what stands was built.
+    It takes time by what they touch.
     """
     scan, parts, start = setup.scan._replace(voxels=False), list(space.levels), len(space.graph.position)
     split: list[tuple[int, SplitQuadtree]] = []
@@ -174,15 +170,9 @@ def _edges_from(graph: Graph, nodes: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def patched(graph: Graph, lost: Around, fresh: Nodes, edges: Edges, clearance: FloatArray, radius: float) -> Graph:
-    """The graph of what stands without the nodes that are gone, and with fresh ones, numbered after all others.
+    """The graph of what stands without what it has `lost`, and with fresh nodes, numbered after all others.
 
-    Args:
-        graph: Of what stands.
-        lost: What it loses.
-        fresh: The new nodes.
-        edges: Pairs of nodes, one of each new, shape (e, 2), and crossings.
-        clearance: At both ends of these, shape (e, 2) [m].
-        radius: As in `assemble`.
+    One node of each of the `edges` is new; the `clearance` is that at both ends of these, (e, 2) [m].
     """
     pairs, via = edges
     count, size = len(graph.position), len(graph.other)
@@ -191,7 +181,7 @@ def patched(graph: Graph, lost: Around, fresh: Nodes, edges: Edges, clearance: F
     source, kept = _edges_from(graph, beside)
     stays = ~is_among(graph.other[kept], lost.gone)
     source, kept = source[stays], kept[stays]
-    price = price_edges(position[pairs.ravel()].reshape(-1, 2, 2), via, clearance, radius)
+    price = price_edges(position[pairs], via, clearance, radius)
     nodes = np.concatenate([beside, count + np.arange(len(fresh.level))])
     start = np.concatenate([source, pairs[:, 0], pairs[:, 1]])
     order = np.argsort(start, kind="stable")
@@ -219,15 +209,10 @@ def patched(graph: Graph, lost: Around, fresh: Nodes, edges: Edges, clearance: F
 
 
 def _components(graph: Graph, patch: Patch, start: IntArray) -> Layered:
-    """Connected component of each node of a patched graph.
+    """Connected component of each node of a graph with a patch, whose edges `start` at such nodes.
 
     What stood in one component is joined as before, where what is left of it beside the patch is joined in the patch.
     Only where that falls apart all of the component is looked through: there may be another way round.
-
-    Args:
-        graph: Of what stands.
-        patch: What is other.
-        start: Where each of its edges begins.
     """
     nodes, count, known = patch.node, len(graph.position), len(patch.node) - len(patch.position)
     here = is_among(patch.other, nodes)
@@ -259,8 +244,7 @@ def _flood(net: Net, seeds: IntArray, label: int, standing: IntArray, fresh: Int
         standing[seed] = mine
         while len(stack) > 0:
             node = stack.pop()
-            begin, end = edges_of(net, node)
-            for e in range(begin, end):
+            for e in range(*edges_of(net, node)):
                 near = far_end(net, e)
                 if (standing[near] if near < count else fresh[near - count]) < label:
                     if near < count:
