@@ -120,10 +120,10 @@ def _descend(
             continue
         if not _is_as_high(leaves, i, j, n, ground, ends, asked):
             continue
-        h, ends = n // 2, quarters(leaves.code, n, first, last)
+        h, part = n // 2, quarters(leaves.code, n, first, last)
         nearest = 2 * int(x >= i + h) + int(y >= j + h)
         for quarter in (nearest ^ 3, nearest ^ 1, nearest ^ 2, nearest):  # the nearest one is looked at first
-            stack.append((i + (quarter >> 1) * h, j + (quarter & 1) * h, h, ends[quarter], ends[quarter + 1]))
+            stack.append((i + (quarter >> 1) * h, j + (quarter & 1) * h, h, part[quarter], part[quarter + 1]))
 
 
 @lean()
