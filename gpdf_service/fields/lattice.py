@@ -113,13 +113,10 @@ def _rows_of(lattice: Lattice) -> _Rows:
 
 
 def fit_lattice(lattice: Lattice, domain: Domain, former: tuple[Gpdf, Lattice] | None = None) -> Gpdf:
-    """The field over the points of a lattice, of which there must be some: what is changed is what is built.
+    """The field over the points of a lattice, of which there must be some, in the order of its tiles.
 
-    Args:
-        lattice: The points; in the field they are in the order of the tiles.
-        domain: Where it answers.
-        former: A field, and the lattice that it was fitted to: what it said of tiles within whose reach nothing is
-            another is taken over. So are its discs, if they were told; else they are told on first use.
+    What a `former` field said, fitted to such a lattice, of tiles within whose reach nothing is another is taken over:
+    what is changed is what is built. So are its discs, if they were told; else they are told on first use.
 
     Raises:
         FieldError: a solve did not converge.

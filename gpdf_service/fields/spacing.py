@@ -25,11 +25,7 @@ NEIGHBOURS = 8
 def estimate_spacing(points: FloatArray, tree: Tree | None = None) -> float:
     """Median distance between neighbours on the same surface [m]; 0 when all points are equal.
 
-    The distance to the k-th neighbour on a surface with one point every s² is s √(k/π).
-
-    Args:
-        points: Shape (n, 2) or (n, 3) [m].
-        tree: Over the points, where there is one.
+    The distance to the k-th neighbour on a surface with one point every s² is s √(k/π). Points have shape (n, 2 or 3).
     """
     k = min(NEIGHBOURS, len(points) - 1)
     if k < 1:

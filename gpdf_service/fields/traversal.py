@@ -343,15 +343,8 @@ def segment_distance2(
     """Squared distance from the segment ab, places (≥ 2,), to the nearest point in plan, and where on it that is.
 
     One walk, whatever its length: a box of points is left out where it is apart from the segment, by more than the
-    limit, along x, along y or across the segment (separating axes, Gottschalk et al. 1996).
-
-    Args:
-        tree: The points, in plan.
-        a: Where it begins [m].
-        b: Where it ends [m].
-        limit: Squared distance from which on points do not count [m²].
-        enough: The walk ends with the first leaf that is nearer than this [m²].
-        scratch: Of the walk.
+    limit, along x, along y or across the segment (separating axes, Gottschalk et al. 1996). Points from the squared
+    `limit` on do not count [m²]; the walk ends with the first leaf that is nearer than `enough` [m²].
 
     Returns:
         The squared distance, `limit` where there is nothing below it [m²], 0 from what is no place; and how far along

@@ -14,12 +14,12 @@ from scipy.spatial import cKDTree
 from gpdf_service.fields.tree import make_scratch
 from gpdf_service.kernel_cache import lean
 from gpdf_service.planning.endpoints import Ends
-from gpdf_service.planning.routes import Leg, Route, Wish, find_cheapest, over_core, pull_all, way_takes_of
+from gpdf_service.planning.routes import Leg, Route, Wish, find_cheapest, over_core, pull_all, steps_of
 from gpdf_service.planning.shape import is_straight, resample, subdivide
 from gpdf_service.search.free_space import NOTICED_STEP, FreeSpace
 from gpdf_service.search.graph import Graph
 from gpdf_service.search.layered import below
-from gpdf_service.search.ways import STEPPED, Prefer, Ways, prices
+from gpdf_service.search.ways import Prefer, Ways, prices
 from gpdf_service.types import FloatArray, IntArray
 
 TRIES = 8
@@ -179,8 +179,7 @@ def _plan(path: FloatArray) -> FloatArray:
 
 def _is_same(space: FreeSpace, one: Route, other: Route) -> bool:
     """Whether one way can be moved over into the other, see `find_others`."""
-    stepped = [way_takes_of([leg._replace(path=_plan(leg.path)) for leg in way.legs])[STEPPED] for way in (one, other)]
-    if abs(stepped[0] - stepped[1]) > NOTICED_STEP:
+    if abs(steps_of(one.legs)[0] - steps_of(other.legs)[0]) > NOTICED_STEP:
         return False
     ours, theirs = _places(space, one), _places(space, other)
     nearest, scratch = cKDTree(theirs[:, :2]).query(ours[:, :2])[1], make_scratch()

@@ -170,19 +170,19 @@ def _follow(task: _Task, route: Route) -> PlanResult:
 
 def _certified(task: _Task, legs: list[Leg]) -> _Made | PlanResult:
     """What is made of the first candidate that certifies, or why none does."""
-    space, height, first, hurried = task.space, task.space.agent.height, None, False
+    space, spacing, first, hurried = task.space, task.config.waypoint_spacing, None, False
     for candidate in _candidates(task, legs):
         left = task.left()
         if left < -PATIENCE:
             return PlanResult(Status.TIMEOUT, LATE)
         bent = candidate.legs is not legs
         hurried = hurried or left < 0.0 or (left < np.inf and bent and not candidate.details["converged"])
-        contact, top, level, headings = _stand(task, candidate.legs)
+        contact, top, level, headings = _stand(space, candidate.legs, spacing, _facing(task.options))
         certificate = certify(space, top, contact, level, headings, task.hidden_height)
         first = first or certificate
         if certificate.holds:
             limit, takes = speed_limit(space, contact, headings, level, _preferred(task), task.wish.prefer)
-            body_top = contact + np.array([0.0, 0.0, height])
+            body_top = contact + np.array([0.0, 0.0, space.agent.height])
             trajectory = Trajectory(body_top, contact, *time_poses(body_top, headings, space.agent, limit))
             return _Made(trajectory, certificate, takes, candidate.details, candidate.costs)
     assert first is not None
@@ -396,10 +396,9 @@ _Stands = tuple[FloatArray, FloatArray, IntArray, FloatArray]
 """Contact points, where d_g = h over them, levels and headings of a path."""
 
 
-def _stand(task: _Task, legs: list[Leg]) -> _Stands:
+def _stand(space: FreeSpace, legs: list[Leg], spacing: float, facing: Facing) -> _Stands:
     """How a body stands along a whole path, where legs meet once; one of discs turns at the ends to face as asked."""
-    space, agent, spacing, parts = task.space, task.space.agent, task.config.waypoint_spacing, list[_Stands]()
-    lever = float(agent.offsets[-1])
+    agent, lever, parts = space.agent, float(space.agent.offsets[-1]), list[_Stands]()
     for level, path, _ in legs:
         on_level = here(space, level), fields_of(space, level)
         contact, top, heading = stand_along(path, lever, spacing, *on_level, agent.height)
@@ -409,8 +408,7 @@ def _stand(task: _Task, legs: list[Leg]) -> _Stands:
         return parts[0]
     contact, top, on, heading = map(np.concatenate, zip(*parts, strict=True))
     if agent.discs > 1:
-        begin, end = _facing(task.options)
-        turned = [(0, begin), *enumerate(heading), (-1, end)]
+        turned = [(0, facing[0]), *enumerate(heading), (-1, facing[1])]
         row = np.array([i % len(contact) for i, angle in turned if angle is not None])
         heading = np.unwrap([angle for _, angle in turned if angle is not None])
         contact, top, on = contact[row], top[row], on[row]

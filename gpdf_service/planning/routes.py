@@ -148,11 +148,6 @@ def _is_effort(seconds: list[float], prefer: Prefer) -> bool:
     return seconds[UNSEEN] + seconds[SLOPED] + seconds[STEPPED] + seconds[LEDGE] > SPARED * seconds[LENGTH]
 
 
-def way_takes_of(legs: list[Leg], prefer: Prefer = Prefer.COMPANION) -> FloatArray:
-    """What a way takes, (6,): see `gpdf_service.search.ways`."""
-    return sum((way_takes(leg.path, beside(leg.space, leg.level, prefer)).sum(axis=0) for leg in legs), np.zeros(6))
-
-
 def steps_of(legs: list[Leg]) -> tuple[float, float]:
     """Rise and fall of a way in steps, and in high ones [m]."""
     stepped, high = 0.0, 0.0

@@ -67,16 +67,11 @@ def find_poses(
     *,
     most: int = MOST_POSES,
 ) -> PoseSearch:
-    """Find a way for a body of discs.
+    """Find a way for a body of discs, beside the `way` of one disc from start to goal, shape (n, 2) [m].
 
-    Args:
-        obstacles: All obstacle places of the body in plan [m].
-        surface: The level's ground.
-        way: A way of one disc from start to goal, shape (n, 2) [m].
-        facing: Where the body faces at the start and at the goal [rad]; None leaves it free.
-        offsets: Where the discs are, ahead of the body's centre [m], ascending, the same on either side, two at least.
-        radius: Least distance of a disc's centre from any obstacle [m].
-        most: Poses that may be looked at.
+    Its discs lie at `offsets` ahead of its centre [m], ascending, the same on either side, two at least, and their
+    centres keep the `radius` from all obstacles [m]. At its ends it faces as asked [rad]; None leaves it free. At `most`
+    so many poses are looked at.
     """
     body = _Body(offsets, radius)
     found = PoseSearch(np.append(way[0], facing[0] or 0.0)[None], reached=False, given_up=True)
