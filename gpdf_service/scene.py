@@ -21,7 +21,7 @@ from gpdf_service.config import Config
 from gpdf_service.denoise import FAR
 from gpdf_service.errors import CloudError, SceneFileError
 from gpdf_service.fields import Gpdf, Nearer, check_queries, fit_gpdf
-from gpdf_service.fields.lattice import Lattice, fit_lattice, lattice_of, points_of_lattice, restore_lattice
+from gpdf_service.fields.lattice import Lattice, fit_lattice, lattice_of, restore_lattice
 from gpdf_service.fields.spacing import estimate_spacing, thin
 from gpdf_service.fields.threads import run_parallel
 from gpdf_service.ground import GroundLevel, Levels, Scan, Touched, voxel_pitch
@@ -49,7 +49,7 @@ from gpdf_service.search.keep import from_arrays, to_arrays
 from gpdf_service.search.moved import add_moving
 from gpdf_service.search.ways import Prefer, Ways, find_ways, level_body
 from gpdf_service.shades import Shades
-from gpdf_service.store import Arrays, flatten, read_arrays, restore, under, write_arrays
+from gpdf_service.store import Arrays, flatten, read_arrays, restore, write_arrays
 from gpdf_service.tiles import HeightMap
 from gpdf_service.tiles.points import Points, points_of
 from gpdf_service.tiles.rows import chosen_rows
@@ -72,6 +72,8 @@ LEAST_WHOLE_SPACING = 0.05
 MAX_WHOLE_POINTS = 50_000
 """Points of a field over a whole cloud: its fit then takes seconds."""
 
+_ALPHA = "ground_fields/{}/alpha"
+"""Name in a file of what was solved for of a level's field; the rest follows from the ground."""
 RISER = 0.3
 """[m] A contact point that is interpolated along a step's face lies this much under the ground there at most; storeys
 are further apart by far."""
@@ -147,27 +149,22 @@ class ObstacleField:
         queries = check_queries(queries, (2, 3))
         if queries.shape[1] == 3:
             return _gather(queries[:, :2], self.fields, levels_at(self.surfaces, queries))
-        answers = [field.query(queries) for field in self.fields]
-        distance = np.stack([np.where(a.valid, a.distance, np.inf) for a in answers])
-        best = distance.argmin(axis=0)
-        valid = np.isfinite(distance).any(axis=0)
-        rows = np.arange(len(queries))
-        gradient = np.stack([a.gradient for a in answers])[best, rows] * valid[:, None]
-        deviation = np.stack([a.deviation for a in answers])[best, rows]
-        return FieldSample(np.where(valid, distance[best, rows], 0.0), gradient, valid, deviation)
+        return _gather(queries, self.fields, np.ones((len(self.fields), len(queries)), dtype=bool), np.less)
 
 
-def _gather(queries: FloatArray, fields: Sequence[Gpdf | Nearer], on: BoolArray) -> FieldSample:
-    """The largest of the answers of those levels that each query is `on`, shape (levels, m); not valid on none."""
+def _gather(
+    queries: FloatArray, fields: Sequence[Gpdf | Nearer], on: BoolArray, better: np.ufunc = np.greater_equal
+) -> FieldSample:
+    """The largest answer of those levels that each query is `on`, shape (levels, m), or the one that is `better`."""
     count = len(queries)
     made = FieldSample(np.zeros(count), np.zeros_like(queries), np.zeros(count, dtype=bool), np.full(count, np.inf))
     for mask, field in zip(on, fields, strict=True):
         if mask.any():
             sample = field.query(queries[mask])
-            better = sample.valid & (sample.distance >= made.distance[mask])
-            rows = np.flatnonzero(mask)[better]
-            made.distance[rows], made.gradient[rows] = sample.distance[better], sample.gradient[better]
-            made.valid[rows], made.deviation[rows] = True, sample.deviation[better]
+            taken = sample.valid & (~made.valid[mask] | better(sample.distance, made.distance[mask]))
+            rows = np.flatnonzero(mask)[taken]
+            made.distance[rows], made.gradient[rows] = sample.distance[taken], sample.gradient[taken]
+            made.valid[rows], made.deviation[rows] = True, sample.deviation[taken]
     return made
 
 
@@ -543,8 +540,7 @@ class Scene:
             arrays["origins"] = self.rays.origins
         if self.shades is not None:
             arrays |= flatten(self.shades, "shades")
-        for i, field in enumerate(self.ground_fields):
-            arrays |= {f"ground_fields/{i}/alpha": field.alpha, f"ground_fields/{i}/tiled": np.array(True)}
+        arrays |= {_ALPHA.format(i): field.alpha for i, field in enumerate(self.ground_fields)}
         with self._lock:
             spaces, stored = dict(self._spaces), dict(self._stored)
         agents = list({**stored, **spaces})[-MAX_CACHED_AGENTS:]
@@ -575,27 +571,13 @@ def _level_info(index: int, level: GroundLevel, field: Gpdf) -> dict[str, Any]:
     }
 
 
-def _restore_ground(level: GroundLevel, kept: Arrays, config: Config) -> Gpdf:
-    """The level's Ground GPDF from a file.
-
-    Until version 5 that said in which order the points were, and the scale; until version 6 the discs, too. Until
-    version 7 tiles began at the level's own corner.
-
-    Raises:
-        SceneFileError: it is of another number of cells than the level's.
-    """
-    lattice, points = _lattice(level, config), None
-    count, discs = np.count_nonzero(~np.isnan(lattice.height)), kept.get("discs")
-    if kept["alpha"].shape != (count,) or (discs is not None and discs.shape != (count, 6)):
-        found = f"a ground field of {len(kept['alpha'])} cells, over a level of {count}"
+def _restore_ground(level: GroundLevel, alpha: FloatArray, config: Config) -> Gpdf:
+    """The level's Ground GPDF from a file."""
+    lattice = _lattice(level, config)
+    if alpha.shape != (count := np.count_nonzero(~np.isnan(lattice.height)),):
+        found = f"a ground field of {len(alpha)} cells, over a level of {count}"
         raise SceneFileError("scene file", found, "Build the scene again from its cloud.")
-    if "order" in kept:
-        points = kept.get("points", level.ground_points[kept["order"]])
-        length_scale, noise_variance, spacing = map(float, kept["scalars"])
-        lattice = lattice._replace(length_scale=length_scale, noise_variance=noise_variance, spacing=spacing)
-    elif "tiled" not in kept:
-        points = points_of_lattice(_lattice(level, config, np.full(2, -0.5) * level.surface.cell_width))
-    return restore_lattice(lattice, kept["alpha"], level.surface, discs, points)
+    return restore_lattice(lattice, alpha, level.surface)
 
 
 def load_scene(path: str | os.PathLike[str]) -> Scene:
@@ -607,7 +589,8 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     arrays, meta, later = read_arrays(path, later="agents/")
     levels, config = levels_from_arrays(arrays, arrays["points"]), Config.from_kept(meta["config"])
     fields = [
-        _restore_ground(level, under(f"ground_fields/{i}/", arrays), config) for i, level in enumerate(levels.levels)
+        _restore_ground(level, restore(FloatArray, arrays, _ALPHA.format(i)), config)
+        for i, level in enumerate(levels.levels)
     ]
     scene = Scene(
         arrays["points"],
@@ -684,9 +667,8 @@ def _fit_grounds(levels: Levels, config: Config, like: Scene | None, former: Seq
     return tuple(run_parallel(fit, range(len(levels.levels))))
 
 
-def _lattice(level: GroundLevel, config: Config, corner: FloatArray | None = None) -> Lattice:
-    """The lattice of a level's ground; its tiles as if it began at that `corner` [m], if one is given."""
+def _lattice(level: GroundLevel, config: Config) -> Lattice:
+    """The lattice of a level's ground."""
     surface = level.surface
     height = np.where(surface.state != UNKNOWN, surface.height, np.nan)
-    made = lattice_of(height, surface.origin if corner is None else corner, surface.cell_width, config.fields)
-    return made if corner is None else made._replace(origin=surface.origin)
+    return lattice_of(height, surface.origin, surface.cell_width, config.fields)

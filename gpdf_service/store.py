@@ -1,6 +1,6 @@
 """One scene, one file: named arrays in a zip, each packed and with its checksum, written atomically.
 
-`meta` is JSON in NumPy's format; it tells how each array lies in its bytes. Files of version 4 hold NumPy's arrays.
+`meta` is JSON in NumPy's format; it tells how each array lies in its bytes.
 Nothing is pickled, so a scene file from a stranger can hold wrong numbers but no code.
 """
 
@@ -27,10 +27,8 @@ from gpdf_service.errors import SceneFileError, words_of
 from gpdf_service.packing import Packed, pack, unpack
 
 SCHEMA_VERSION = 8
-READABLE = 4, 5, 6, 7, 8
-_META = "meta"
-_PLAIN = ".npy"
-"""What follows the name of an array in NumPy's format."""
+"""The only one that is read: who has another one builds the scene again."""
+_META = "meta.npy"
 _CHUNK = 2**20
 """[bytes]"""
 MOST = 1000
@@ -55,7 +53,7 @@ def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]
     try:
         with os.fdopen(handle, "wb") as file:
             with zipfile.ZipFile(file, "w") as stored:
-                with stored.open(_META + _PLAIN, "w") as entry:
+                with stored.open(_META, "w") as entry:
                     np.lib.format.write_array(entry, np.frombuffer(header, np.uint8), allow_pickle=False)
                 for name, (_, raw) in packed.items():
                     stored.writestr(zipfile.ZipInfo(name), raw)  # without the time, so that a scene's bytes are its own
@@ -72,27 +70,21 @@ class _Stored:
 
     def __init__(self, path: Path) -> None:
         self._zip = zipfile.ZipFile(path)
-        self.names = [name.removesuffix(_PLAIN) for name in self._zip.namelist()]
-        self.meta = json.loads(bytes(self._plain(_META)))
-        self.names.remove(_META)
+        with self._zip.open(_META) as file:
+            self.meta = json.loads(bytes(np.lib.format.read_array(file, allow_pickle=False)))
         self._packed = {name: _described(*how) for name, how in self.meta.pop("arrays", {}).items()}
+        self.names = list(self._packed)
         if sum(how.nbytes for how in self._packed.values()) > MOST * path.stat().st_size:
             raise ValueError("it says that it unpacks to more than a scene file does")
 
     def array(self, name: str) -> NDArray[Any]:
-        if name in self._packed:
-            return unpack(self._packed[name], self._zip.read(name))
-        return self._plain(name)
+        return unpack(self._packed[name], self._zip.read(name))
 
     def check(self, name: str) -> None:
         """Compare an array with its checksum, without memory for it."""
-        with self._zip.open(name if name in self._packed else name + _PLAIN) as file:
+        with self._zip.open(name) as file:
             while file.read(_CHUNK):
                 pass
-
-    def _plain(self, name: str) -> NDArray[Any]:
-        with self._zip.open(name + _PLAIN) as file:
-            return np.lib.format.read_array(file, allow_pickle=False)
 
 
 def _described(dtype: str, shape: list[int], kept: str, lengths: list[int], *decimal: Any) -> Packed:  # noqa: ANN401
@@ -137,9 +129,8 @@ def read_arrays(path: str | os.PathLike[str], later: str | None = None) -> tuple
         raise SceneFileError(asked, "there is no such file", "Build it first: gpdf scene build CLOUD --out FILE.")
     with _reading(target):
         stored = _Stored(target)
-    if stored.meta.get("schema_version") not in READABLE:
-        reads = " and ".join(map(str, READABLE))
-        found = f"it has schema version {stored.meta.get('schema_version')}, this program reads {reads}"
+    if (version := stored.meta.get("schema_version")) != SCHEMA_VERSION:
+        found = f"another gpdf built it: it has schema version {version}, this one reads {SCHEMA_VERSION}"
         raise SceneFileError(asked, found, "Build the scene again from its cloud.")
     with _reading(target):
         shelved = {name for name in stored.names if later and name.startswith(later)}

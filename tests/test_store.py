@@ -1,5 +1,4 @@
 import dataclasses
-import json
 import pickle
 from errno import ENOSPC
 
@@ -120,21 +119,6 @@ def test_a_file_of_something_else_is_refused_and_nobody_is_advised_to_run_it(tmp
     np.savez(tmp_path / "b.npz", meta=np.array([object()]))
     with pytest.raises(SceneFileError, match="no arrays of numbers"):
         read_arrays(tmp_path / "b.npz")
-
-
-def version_4(path, arrays, meta):
-    header = np.frombuffer(json.dumps({"schema_version": 4, **meta}).encode(), np.uint8)
-    with path.open("wb") as file:
-        np.savez(file, meta=header, **arrays)
-
-
-def test_a_file_of_the_version_before_is_read(tmp_path):
-    version_4(tmp_path / "a.gpdf", {"now": np.arange(6.0).reshape(2, 3), "then/a": np.array([True])}, {"noise": 0.5})
-    arrays, meta, later = read_arrays(tmp_path / "a.gpdf", later="then/")
-    assert list(arrays) == ["now"]
-    np.testing.assert_array_equal(arrays["now"], [[0, 1, 2], [3, 4, 5]])
-    assert later.under("then/")["a"].tolist() == [True]
-    assert meta["noise"] == 0.5
 
 
 def test_a_file_that_says_it_unpacks_to_all_memory_is_refused_before_memory_is_taken(tmp_path):

@@ -121,7 +121,7 @@ for step in Warming().steps().values():
 import numpy as np
 from dataclasses import replace
 from gpdf_service.pipeline import build_scene, plan
-from gpdf_service.search.reach import find_reach
+from gpdf_service.search.free_space import find_reach
 from gpdf_service.synthetic import Box, World
 from gpdf_service.synthetic.house import make_house
 from gpdf_service.types import AGENTS

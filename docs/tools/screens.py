@@ -21,7 +21,7 @@ from playwright.sync_api import sync_playwright
 import gpdf_service as gpdf
 from gpdf_service.bench.page import FLAGS, viewing
 from gpdf_service.ports import free_endpoint
-from gpdf_service.search.reach import find_reach
+from gpdf_service.search.free_space import find_reach
 from gpdf_service.service.begun import begun
 from gpdf_service.synthetic import SCANNERS, SCENES
 from gpdf_service.synthetic.places import PLACES

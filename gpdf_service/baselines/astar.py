@@ -7,7 +7,7 @@ import numpy as np
 from gpdf_service.baselines.flat import FlatWorld
 from gpdf_service.planning.shape import shortcut
 from gpdf_service.search.graph import find_path
-from gpdf_service.search.motion import is_clear
+from gpdf_service.search.places import is_clear
 from gpdf_service.types import FloatArray
 
 NEAREST_LEAVES = 32

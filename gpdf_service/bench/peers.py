@@ -24,7 +24,7 @@ from gpdf_service.bench.report import Row
 from gpdf_service.pipeline import plan
 from gpdf_service.planning.shape import is_path_clear
 from gpdf_service.scene import Scene
-from gpdf_service.search.motion import is_clear
+from gpdf_service.search.places import is_clear
 from gpdf_service.types import Agent, FloatArray, Status
 
 SECONDS = 0.99

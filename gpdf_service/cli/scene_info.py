@@ -19,7 +19,7 @@ from gpdf_service.types import Agent, resolve_agent
 if TYPE_CHECKING:
     from gpdf_service.clouds import PointCloud
     from gpdf_service.scene import Scene
-    from gpdf_service.search.reach import Reach
+    from gpdf_service.search.free_space import Reach
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -79,7 +79,7 @@ def _look(args: argparse.Namespace, agent: Agent | None) -> tuple[Scene, PointCl
         reach = None
         if agent or args.png:
             with work.step("fit"):
-                from gpdf_service.search.reach import find_reach
+                from gpdf_service.search.free_space import find_reach
 
                 space = scene.free_space(agent or "human")
                 reach = find_reach(space) if agent else None

@@ -7,9 +7,18 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
-from gpdf_service.fields.edge import EDGE, fit_pair
 from gpdf_service.fields.heights import fit_heights, make_sums, quadric_rest, sum_heights
-from gpdf_service.fields.shapes import MOST, fit_axis, fit_plane, fit_ring, gather, split_sheets, sum_rings
+from gpdf_service.fields.shapes import (
+    EDGE,
+    MOST,
+    fit_axis,
+    fit_pair,
+    fit_plane,
+    fit_ring,
+    gather,
+    split_sheets,
+    sum_rings,
+)
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.tree import Tree, build_tree, make_look
 from gpdf_service.types import FloatArray

@@ -3,10 +3,10 @@
 import gpdf_service.kernel_cache  # noqa: F401  # before any kernel
 from gpdf_service.fields.gpdf import Domain as Domain
 from gpdf_service.fields.gpdf import Gpdf as Gpdf
+from gpdf_service.fields.gpdf import Nearer as Nearer
 from gpdf_service.fields.gpdf import check_queries as check_queries
 from gpdf_service.fields.gpdf import find_nearest as find_nearest
 from gpdf_service.fields.gpdf import fit_gpdf as fit_gpdf
-from gpdf_service.fields.nearer import Nearer as Nearer
 from gpdf_service.fields.order import morton as morton
 from gpdf_service.fields.spacing import estimate_spacing as estimate_spacing
 from gpdf_service.fields.spacing import thin as thin

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from copy import copy
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,8 +20,8 @@ from gpdf_service.fields.order import corners_of, spatial_order
 from gpdf_service.fields.solve import HALO, solve_all, solve_rows, within
 from gpdf_service.fields.spacing import REACH, estimate_spacing, local_shape, thin
 from gpdf_service.fields.threads import run_chunked
-from gpdf_service.fields.traversal import FieldArrays, by_leaf, nearest_range, sample_range
-from gpdf_service.fields.tree import Tree, build_tree, change_tree, tree_of
+from gpdf_service.fields.traversal import FieldArrays, NearerArrays, by_leaf, nearest_only, nearest_range, sample_range
+from gpdf_service.fields.tree import NO_POINTS, Tree, build_tree, change_tree, tree_of
 from gpdf_service.types import BoolArray, FieldSample, FloatArray, IntArray
 
 _CELLS = 2**20
@@ -302,3 +303,37 @@ def _check_extent(data: FloatArray, spacing: float) -> None:
     if extent > _CELLS * spacing > 0.0:
         found = f"points {extent:g} m apart with a spacing of {spacing:g} m"
         raise FieldError("fit", found, "Take out what is far from everything else.")
+
+
+_NOTHING = nearest_only(NO_POINTS)
+"""A field of no points, in compiled form."""
+
+
+@dataclass(frozen=True, slots=True)
+class Nearer:
+    """Two fields in one, a `DistanceField`: what stands, and what moves, if anything does. The nearer one answers.
+
+    Each brackets the distance to its own nearest point, so their least brackets that to the nearest of all points.
+    """
+
+    standing: Gpdf
+    moving: Gpdf | None = None
+
+    @property
+    def arrays(self) -> NearerArrays:
+        """What a compiled loop needs for `traversal.sample_at`."""
+        return NearerArrays(self.standing.arrays, _NOTHING if self.moving is None else self.moving.arrays)
+
+    def query(self, queries: ArrayLike) -> FieldSample:
+        """Distance, gradient, validity and standard deviation of the nearer one: see `Gpdf.query`."""
+        stands = self.standing.query(queries)
+        if self.moving is None:
+            return stands
+        moves = self.moving.query(queries)
+        nearer = moves.valid & (~stands.valid | (moves.distance < stands.distance))
+        return FieldSample(
+            np.where(nearer, moves.distance, stands.distance),
+            np.where(nearer[:, None], moves.gradient, stands.gradient),
+            stands.valid | moves.valid,
+            np.where(nearer, moves.deviation, stands.deviation),
+        )

@@ -113,13 +113,10 @@ def _rows_of(lattice: Lattice) -> _Rows:
 
 
 def fit_lattice(lattice: Lattice, domain: Domain, former: tuple[Gpdf, Lattice] | None = None) -> Gpdf:
-    """The field over the points of a lattice, of which there must be some: what is changed is what is built.
+    """The field over the points of a lattice, of which there must be some, in the order of its tiles.
 
-    Args:
-        lattice: The points; in the field they are in the order of the tiles.
-        domain: Where it answers.
-        former: A field, and the lattice that it was fitted to: what it said of tiles within whose reach nothing is
-            another is taken over. So are its discs, if they were told; else they are told on first use.
+    What a `former` field said, fitted to such a lattice, of tiles within whose reach nothing is another is taken over:
+    what is changed is what is built. So are its discs, if they were told; else they are told on first use.
 
     Raises:
         FieldError: a solve did not converge.
@@ -130,8 +127,8 @@ def fit_lattice(lattice: Lattice, domain: Domain, former: tuple[Gpdf, Lattice] |
     discs = np.empty((len(alpha), 6)) if former is not None and former[0].shaped else None
 
     def solve(k: int) -> bool:
-        cells, own = _layout() + rows.tile[k], rows.of(k)
-        _put_points(lattice, cells, points[own])
+        cells, own = _cells_of(lattice, rows.tile[k]), rows.of(k)
+        points[own] = _points_at(lattice, cells)
         if discs is not None:
             _shape_tile(lattice, ball, cells, discs[own])
         return bool(_solve_tile(lattice, solver, cells, alpha[own]))
@@ -148,32 +145,21 @@ def fit_lattice(lattice: Lattice, domain: Domain, former: tuple[Gpdf, Lattice] |
     return _field(lattice, tree, rows, alpha, discs, domain)
 
 
-def restore_lattice(
-    lattice: Lattice,
-    alpha: FloatArray,
-    domain: Domain,
-    discs: FloatArray | None = None,
-    points: FloatArray | None = None,
-) -> Gpdf:
-    """The field over a lattice whose α, shape (n,), is known; and its discs, (n, 6), or they are told on first use.
-
-    Both lie in the lattice's order, or in that of `points`, (n, 3).
-    """
+def restore_lattice(lattice: Lattice, alpha: FloatArray, domain: Domain) -> Gpdf:
+    """The field over a lattice whose α, shape (n,), is known; its discs are told on first use."""
     rows = _rows_of(lattice)
-    if points is not None:
-        old, new = (_flat_cells(each, lattice) for each in (points, _points_of(lattice, rows)))
-        order = np.argsort(old)
-        taken = order[np.searchsorted(old, new, sorter=order)]
-        alpha, discs = alpha[taken], None if discs is None else discs[taken]
-    return _field(lattice, _tree_of(_points_of(lattice, rows), rows), rows, alpha, discs, domain)
+    points = np.concatenate([_points_at(lattice, _cells_of(lattice, tile)) for tile in rows.tile])
+    return _field(lattice, _tree_of(points, rows), rows, alpha, None, domain)
 
 
 def _discs_of(lattice: Lattice, rows: _Rows) -> FloatArray:
     """The discs of all points in their order, shape (n, 6)."""
     discs, ball = np.empty((int(rows.first[-1]), 6)), _ball_of(lattice)
-    run_parallel(
-        lambda k: _shape_tile(lattice, ball, _layout() + rows.tile[k], discs[rows.of(k)]), range(len(rows.tile))
-    )
+
+    def tell(k: int) -> None:
+        _shape_tile(lattice, ball, _cells_of(lattice, rows.tile[k]), discs[rows.of(k)])
+
+    run_parallel(tell, range(len(rows.tile)))
     return discs
 
 
@@ -188,24 +174,6 @@ def _field(
     told = partial(_discs_of, lattice, rows) if discs is None else discs
     own = lattice.length_scale, lattice.noise_variance, lattice.spacing
     return Gpdf(tree, alpha, told, np.broadcast_to(0.0, len(alpha)), own, domain)
-
-
-def points_of_lattice(lattice: Lattice) -> FloatArray:
-    """All points in the lattice's order, shape (n, 3) [m]."""
-    return _points_of(lattice, _rows_of(lattice))
-
-
-def _points_of(lattice: Lattice, rows: _Rows) -> FloatArray:
-    """All points in their order, shape (n, 3)."""
-    points = np.empty((int(rows.first[-1]), 3))
-    run_parallel(lambda k: _put_points(lattice, _layout() + rows.tile[k], points[rows.of(k)]), range(len(rows.tile)))
-    return points
-
-
-def _flat_cells(points: FloatArray, lattice: Lattice) -> IntArray:
-    x, y = np.floor((points[:, :2] - lattice.origin) / lattice.width).astype(np.int64).T
-    flat: IntArray = x * lattice.height.shape[1] + y
-    return flat
 
 
 def _sources(lattice: Lattice, rows: _Rows, reach: int, former: tuple[Gpdf, Lattice] | None) -> tuple[IntArray, _Rows]:
@@ -270,16 +238,25 @@ def _tree_of(points: FloatArray, rows: _Rows, former: tuple[Tree, _Rows, IntArra
     )
 
 
+def _cells_of(lattice: Lattice, tile: IntArray) -> IntArray:
+    """The cells of a tile that hold a point, in their order, shape (k, 2)."""
+    cells: IntArray = _held(lattice.height, _layout(), tile)
+    return cells
+
+
 @njit(cache=True, nogil=True)
-def _put_points(lattice: Lattice, cells: IntArray, points: FloatArray) -> None:
-    """Write the points of the `cells` that hold one."""
-    (nx, ny), row = lattice.height.shape, 0
-    for x, y in cells:
-        if x < nx and y < ny and not np.isnan(lattice.height[x, y]):
-            points[row, 0] = lattice.origin[0] + (x + 0.5) * lattice.width
-            points[row, 1] = lattice.origin[1] + (y + 0.5) * lattice.width
-            points[row, 2] = lattice.height[x, y]
-            row += 1
+def _held(height: NDArray[np.floating], layout: IntArray, tile: IntArray) -> IntArray:
+    cells, count = np.empty_like(layout), 0
+    for k in range(len(layout)):
+        x, y = tile[0] + layout[k, 0], tile[1] + layout[k, 1]
+        if x < height.shape[0] and y < height.shape[1] and not np.isnan(height[x, y]):
+            cells[count, 0], cells[count, 1], count = x, y, count + 1
+    return cells[:count]
+
+
+def _points_at(lattice: Lattice, cells: IntArray) -> FloatArray:
+    """The points in some cells, shape (k, 3)."""
+    return np.column_stack([lattice.origin + (cells + 0.5) * lattice.width, lattice.height[tuple(cells.T)]])
 
 
 def disc(radius: float) -> IntArray:
@@ -300,10 +277,9 @@ def half_disc(radius: float) -> IntArray:
 @njit(cache=True, nogil=True)
 def _shape_tile(lattice: Lattice, ball: IntArray, cells: IntArray, discs: FloatArray) -> None:
     """Write the discs of the points in a tile's `cells`."""
-    (nx, ny), room, radius, row = lattice.height.shape, make_room(), REACH * lattice.spacing, 0
-    for x, y in cells:
-        if x >= nx or y >= ny or np.isnan(lattice.height[x, y]):
-            continue
+    (nx, ny), room, radius = lattice.height.shape, make_room(), REACH * lattice.spacing
+    for row in range(len(cells)):
+        x, y = cells[row]
         z, count = lattice.height[x, y], 0
         for k in range(len(ball)):
             u, v = x + ball[k, 0], y + ball[k, 1]
@@ -314,7 +290,6 @@ def _shape_tile(lattice: Lattice, ball: IntArray, cells: IntArray, discs: FloatA
                 room.near[count, 0], room.near[count, 1], room.near[count, 2] = a, b, c
                 count += 1
         shape_around(room, count, True, lattice.spacing, 0.0, discs[row])
-        row += 1
 
 
 class _Solver(NamedTuple):
@@ -380,16 +355,6 @@ def _window(height: NDArray[np.floating], reach: int, halo: int, box: tuple[int,
                 k = (x - left) * stride + y - near
                 z[k], held[k] = height[x, y] - base, 1.0
     return _Window(z, held, stride, reach, (right - left - 2 * reach, far - near - 2 * reach))
-
-
-@njit(cache=True, nogil=True)
-def _box_of(height: NDArray[np.floating], cells: IntArray) -> tuple[int, int, int, int]:
-    """The least box of cells that holds all points of a tile's `cells`."""
-    (nx, ny), left, right, near, far = height.shape, len(height), 0, height.shape[1], 0
-    for x, y in cells:
-        if x < nx and y < ny and not np.isnan(height[x, y]):
-            left, right, near, far = min(left, x), max(right, x + 1), min(near, y), max(far, y + 1)
-    return left, right, near, far
 
 
 @njit(cache=True, nogil=True)
@@ -491,11 +456,12 @@ def _approximate_inverse(scale: float, noise_variance: float, reach: int) -> tup
 
 @njit(cache=True, nogil=True, fastmath=VECTORS)
 def _solve_tile(lattice: Lattice, solver: _Solver, cells: IntArray, alpha: FloatArray) -> bool:
-    """Write α of the points in a tile's `cells`, of which there are some; whether the solve converged.
+    """Write α of a tile's points, in these `cells`; whether the solve converged.
 
     It begins with α on even ground, one over the sum of the row of K + σ² I; so is α beyond the halo.
     """
-    rate, box = np.float32(0.5 / (lattice.length_scale * lattice.length_scale)), _box_of(lattice.height, cells)
+    rate, rows, columns = np.float32(0.5 / (lattice.length_scale * lattice.length_scale)), cells[:, 0], cells[:, 1]
+    box = rows.min(), rows.max() + 1, columns.min(), columns.max() + 1
     window = _window(lattice.height, solver.offsets.max(), solver.halo, box)
     stride, diagonal = window.inner[1] + window.reach, np.float32(1.0 + lattice.noise_variance)
     inner, sums = np.zeros(window.inner[0] * stride, np.float32), np.full(len(window.held), diagonal)
@@ -526,10 +492,7 @@ def _solve_tile(lattice: Lattice, solver: _Solver, cells: IntArray, alpha: Float
         for i in range(len(x)):
             x[i] += step * p[i]
             r[i] -= step * product[i]
-    row = 0
-    for i, j in cells:
-        k = (i - box[0] + solver.halo) * stride + j - box[2] + solver.halo
-        if box[0] <= i < box[1] and box[2] <= j < box[3] and inner[k] > 0.0:
-            alpha[row] = x[k]
-            row += 1
+    for row in range(len(cells)):
+        i, j = cells[row, 0] - box[0] + solver.halo, cells[row, 1] - box[2] + solver.halo
+        alpha[row] = x[i * stride + j]
     return bool(_dot(r, r) <= enough)

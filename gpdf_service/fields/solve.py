@@ -71,39 +71,13 @@ class Part(NamedTuple):
     inverse: Float32Array
 
 
-class _System(NamedTuple):
-    """What `solve_rows` solves: its arguments, and what is made of them.
-
-    Attributes:
-        tree: All points.
-        rows: Those that are solved.
-        place: Of each point its number among these, −1 of others, shape (n,).
-        alpha: What is known of the others, shape (n,).
-        length_scale: [m].
-        noise_variance: [-].
-        right: Right-hand side, shape (k,).
-        guess: Where the solve begins, shape (k,).
-    """
-
-    tree: Tree
-    rows: IntArray
-    place: NDArray[np.int32]
-    alpha: FloatArray
-    length_scale: float
-    noise_variance: float
-    right: FloatArray
-    guess: FloatArray
+_System = tuple[Tree, IntArray, NDArray[np.int32], FloatArray, float, float, FloatArray, FloatArray]
+"""What `solve_rows` is given, behind its rows the number of each point among them, −1 of others, shape (n,); then the
+right-hand side and a guess, shapes (k,)."""
 
 
 def solve_rows(tree: Tree, rows: IntArray, alpha: FloatArray, length_scale: float, noise_variance: float) -> FloatArray:
-    """α of `rows`, shape (k,), where the others keep theirs.
-
-    Args:
-        tree: All points.
-        rows: Which of them, sorted.
-        alpha: What is known of the others, shape (n,); NaN where nothing is.
-        length_scale: [m].
-        noise_variance: σ² [-].
+    """α of `rows`, shape (k,), sorted, where the others keep their `alpha`, shape (n,); NaN where none is known.
 
     Raises:
         FieldError: the solve did not converge.
@@ -111,7 +85,7 @@ def solve_rows(tree: Tree, rows: IntArray, alpha: FloatArray, length_scale: floa
     place: NDArray[np.int32] = np.full(len(tree.points), -1, np.int32)
     place[rows] = np.arange(len(rows))
     right, guess = np.ones(len(rows)), np.empty(len(rows))
-    system = _System(tree, rows, place, alpha, length_scale, noise_variance, right, guess)
+    system = tree, rows, place, alpha, length_scale, noise_variance, right, guess
     leaves = -(-len(rows) // LEAF_SIZE)
     bounds = np.minimum(np.linspace(0, leaves, -(-len(rows) // PART) + 1).astype(np.int64) * LEAF_SIZE, len(rows))
     parts = run_parallel(lambda ends: _assemble(system, *ends), list(pairwise(bounds)))

@@ -8,10 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.fields.edge import EDGE, fit_pair, nearest_half
 from gpdf_service.fields.heights import Sums, make_sums, quadric_rest
 from gpdf_service.fields.order import corners_of, is_before, order_by
-from gpdf_service.fields.shapes import MOST, add, fit_axis, fit_plane, gather
+from gpdf_service.fields.shapes import EDGE, MOST, add, fit_axis, fit_pair, fit_plane, gather, nearest_half
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.tree import Tree, build_tree, from_root, make_look, make_scratch, next_leaf, place_of
 from gpdf_service.kernel_cache import lean
@@ -26,11 +25,7 @@ NEIGHBOURS = 8
 def estimate_spacing(points: FloatArray, tree: Tree | None = None) -> float:
     """Median distance between neighbours on the same surface [m]; 0 when all points are equal.
 
-    The distance to the k-th neighbour on a surface with one point every s² is s √(k/π).
-
-    Args:
-        points: Shape (n, 2) or (n, 3) [m].
-        tree: Over the points, where there is one.
+    The distance to the k-th neighbour on a surface with one point every s² is s √(k/π). Points have shape (n, 2 or 3).
     """
     k = min(NEIGHBOURS, len(points) - 1)
     if k < 1:

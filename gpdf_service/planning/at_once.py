@@ -58,22 +58,8 @@ class Made(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def go_at_once(
-    path: FloatArray,
-    here: Sequence[Here],
-    bent_by: Sequence[Fields],
-    bending: Bending,
-    pace: Pace,
-) -> Made:
-    """Bend a way in plan, (n, 2), stand along it, prove it, and time it.
-
-    Args:
-        path: The seed [m].
-        here: Its level.
-        bent_by: The fields.
-        bending: How it is bent.
-        pace: How fast it is followed.
-    """
+def go_at_once(path: FloatArray, here: Sequence[Here], bent_by: Sequence[Fields], bending: Bending, pace: Pace) -> Made:
+    """Bend a way in plan, (n, 2) [m], by the fields of its level, stand along it, prove it, and time it."""
     discs, spacing, height = bending.discs, bending.spacing, bending.wants.height
     bent, run = bend(path, here, bent_by, bending)
     is_bent = len(run.xi) > 0

@@ -25,7 +25,7 @@ from gpdf_service.planning.footprint import travel_headings
 from gpdf_service.planning.shape import runs
 from gpdf_service.planning.words import measure, place_words
 from gpdf_service.search.free_space import FreeSpace
-from gpdf_service.search.motion import least_distance
+from gpdf_service.search.places import least_distance
 from gpdf_service.search.ways import Fields, Here, fields_of, here
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, Cells, cell_of, count_in, is_known
 from gpdf_service.types import BoolArray, Certificate, FloatArray, IntArray
@@ -46,27 +46,6 @@ HEIGHT_SHARE = 0.1
 """[-] The body's top may be off its height by this share, Uttsha et al. 2024, feasibility study."""
 
 
-def min_distance(
-    space: FreeSpace, level: int, path: FloatArray, headings: FloatArray | None = None, resolution: float = RESOLUTION
-) -> tuple[float, FloatArray]:
-    """Lower bound of the distance from a path to the obstacles of a level [m], and where it is reached (2,) [m].
-
-    Args:
-        space: The body's free space.
-        level: The level.
-        path: A polyline in plan [m], shape (n, 2).
-        headings: Where the body faces at its corners, turning evenly between them [rad], shape (n,): then the distance
-            is that of the centres of all its discs; of the polyline alone where they are not given.
-        resolution: How closely it is known [m].
-    """
-    offsets = np.zeros(1) if headings is None else space.agent.offsets
-    poses = np.zeros((len(path), 3))
-    poses[:, :2] = path
-    if headings is not None:
-        poses[:, 2] = headings
-    return least_distance(space.levels[level].places, poses, offsets, resolution)
-
-
 def certify(
     space: FreeSpace,
     positions: FloatArray,
@@ -75,16 +54,10 @@ def certify(
     headings: FloatArray | None = None,
     hidden_height: float = 0.0,
 ) -> Certificate:
-    """Certify a polyline of the body's top and its contact points.
+    """Certify a polyline of the body's top and its contact points, both (n, 3) [m], each on a level, (n,).
 
-    Args:
-        space: The body's free space.
-        positions: The body's top [m], shape (n, 3).
-        ground: Contact points [m], shape (n, 3).
-        level: Level of each contact point, shape (n,).
-        headings: Where the body faces [rad], shape (n,); along the polyline where they are not given.
-        hidden_height: How high things may be in the scene that nobody can see [m]. On a flight what is no higher than
-            a worn tread is rough counts as the tread, whatever it is.
+    It faces along the polyline where no headings are given, (n,) [rad]. Things of `hidden_height` may be in the scene
+    that nobody can see [m]; on a flight what is no higher than a worn tread is rough counts as the tread.
     """
     headings = travel_headings(ground) if headings is None else headings
     agent, seen = space.agent, None

@@ -113,19 +113,11 @@ def optimize(
 def bend(
     path: FloatArray, here: Sequence[Here], bent_by: Sequence[Fields], bending: Bending
 ) -> tuple[FloatArray, ChompResult]:
-    """`optimize` waypoints over a path in plan, (n, 2), and the `spline` through what is distinct of them.
+    """`optimize` waypoints over a path in plan, (n, 2) [m], whose ends stay, by the fields of its level.
 
-    Over level ground the ground's field is not asked.
-
-    Args:
-        path: Its ends stay [m].
-        here: Its level.
-        bent_by: The fields.
-        bending: How it is bent.
-
-    Returns:
-        The path, (k, 2), without places if there is no time for a step; no waypoints where nothing moves, or ground is
-        unknown.
+    Over level ground the ground's field is not asked. The path that is made, (k, 2), is the `spline` through what is
+    distinct of them, without places if there is no time for a step. No waypoints where nothing moves, or ground is
+    unknown.
     """
     (about, ends, _), (discs, wants, spacing, looks, stop) = here[0], bending
     xi = waypoints(path, spacing[0], about.ground, wants.height)
@@ -150,12 +142,10 @@ def _cost(xi: FloatArray, task: Task, memos: tuple[Memo, Memo], gradient: FloatA
 
 @njit(cache=True, nogil=True)
 def solve_banded(band: FloatArray, right: FloatArray) -> FloatArray:
-    """Solve A x = b for a positive definite A, by A = L D Lᵀ in place, O(n).
+    """Solve A x = b, shape (n, 3), for a positive definite A, by A = L D Lᵀ in place, O(n).
 
-    Args:
-        band: Row r = 3i + k of A in its last axis, shape (n, 3, w): element [p] is that p columns left of the diagonal.
-            It is L after, with 1 / D for the diagonal.
-        right: b, shape (n, 3).
+    Row r = 3i + k of A is in the last axis of the `band`, shape (n, 3, w): element [p] is that p columns left of the
+    diagonal. It is L after, with 1 / D for the diagonal.
     """
     low, x, width = band.reshape(-1, band.shape[2]), right.copy().reshape(-1), band.shape[2]
     if width == NARROW:

@@ -18,9 +18,8 @@ from gpdf_service.planning.footprint import disc_places
 from gpdf_service.planning.shape import radius_within
 from gpdf_service.planning.words import measure, metres, place_words
 from gpdf_service.search.free_space import FreeSpace
-from gpdf_service.search.motion import is_straight_clear
 from gpdf_service.search.nearest import nearest_free
-from gpdf_service.search.places import Places
+from gpdf_service.search.places import Places, is_straight_clear
 from gpdf_service.tiles.surface import UNKNOWN, height_of, is_same_ground
 from gpdf_service.types import FloatArray, PlanOptions, Status
 
@@ -134,75 +133,84 @@ def _unreached(found: Refusal, near: FloatArray | None, place: FloatArray, snap:
 
 def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | Refusal:
     """Check a place, (x, y) or (x, y, z of the ground), and connect it to the graph; via points count as goals."""
-    outside = Status.START_OUTSIDE_MAP if name == "start" else Status.GOAL_OUTSIDE_MAP
-    occupied = Status.START_OCCUPIED if name == "start" else Status.GOAL_OCCUPIED
-    xy = place[:2]
-    heights: dict[int, float] = {}
-    for level in _maps_over(space, xy):
-        z = float(height_of(space.levels[level].surface.arrays, *xy.tolist()))
-        if not isnan(z):
-            heights[level] = z
-    if not heights:
-        near = nearest_free(space, place, SAME_GROUND)
-        hint = "" if near is None else f" The nearest free place is {place_words(near)}."
-        if any(_shut_in(space, level, xy[None]) for level in range(len(space.levels))):
-            words = f"the {name} {place_words(place)} is inside something, or on ground that nobody has seen."
-            return Refusal(occupied, words + hint, near)
-        words = f"no ground is known at the {name} {place_words(place)}. Choose a place on the mapped ground."
-        return Refusal(outside, words + hint, near)
-    level = next(iter(heights))
-    if len(place) == 3:
-        level = min(heights, key=lambda one: abs(heights[one] - place[2]))
-        if abs(heights[level] - place[2]) > SAME_GROUND:
-            found = _heights_words(heights)
-            return Refusal(
-                outside, f"the ground at the {name} {place_words(place)} is at z = {found} m, not {metres(place[2])} m."
-            )
-    elif max(heights.values()) - min(heights.values()) > SAME_GROUND:
-        words = f"there is ground at z = {_heights_words(heights)} m under the {name} {place_words(place)}. Give its z."
-        return Refusal(Status.AMBIGUOUS_LEVEL, words)
-    width = space.levels[level].surface.cell_width
-    same = [one for one, z in heights.items() if one == level or is_same_ground(z, heights[level], width)]
+    xy, body, at = place[:2], f"the {space.agent.name}", f"the {name} {place_words(place)}"
+    heights = dict(_heights_at(space, xy))
+    found = _level_at(space, place, name, heights)
+    if isinstance(found, Refusal):
+        return found
+    width = space.surfaces[found].cell_width
+    same = [one for one, z in heights.items() if one == found or is_same_ground(z, heights[found], width)]
     if len(same) == 1 and space.agent.discs == 1:  # else the room decides, on the level or which way it faces
-        node = space.levels[level].node_at(xy)
+        node = space.levels[found].node_at(xy)
         if node >= 0:
-            return Endpoint(xy, level, node, heights[level])
+            return Endpoint(xy, found, node, heights[found])
     rooms = {one: space.levels[one].room(xy) for one in same}
     level = max(same, key=lambda one: rooms[one][0])  # sheets end where others go on
     room, kind = rooms[level]
+    occupied = _status(name, Status.START_OCCUPIED, Status.GOAL_OCCUPIED)
     if room < space.reach + FINEST:  # less cannot be proven of a way that ends there
-        what = REASONS[ObstacleKind(kind)]
-        near = nearest_free(space, np.array([*xy, heights[level]]), SAME_GROUND)
-        hint = "" if near is None else f" The nearest free place is {place_words(near)}."
-        radius, margin = space.agent.disc_radius, space.reach - space.agent.disc_radius
-        digits = 2 if round(room, 2) < round(space.reach, 2) else 4  # a millimetre or less may be what is short
-        noise = f", and {margin:.{digits}f} m for the noise of the scan" if margin > 0.0 else ""
-        body = f"the {space.agent.name} (radius {measure(radius)} m{noise})"
-        words = f"{body} does not fit at the {name} {place_words(place)}: "
-        told = {"room": room, "needed": space.reach, "noise_margin": margin}
-        return Refusal(occupied, f"{words}{what} is {room:.{digits}f} m from its centre.{hint}", near, told)
+        words = f"does not fit at {at}: {REASONS[ObstacleKind(kind)]} is"
+        return _too_tight(space, np.array([*xy, heights[level]]), occupied, words, room)
     if not _faces_somewhere(space, level, xy, room):
-        body = f"the {space.agent.name} ({measure(space.agent.length)} m long)"
-        return Refusal(occupied, f"{body} fits at the {name} {place_words(place)} in no direction.")
+        return Refusal(occupied, f"{body} ({measure(space.agent.length)} m long) fits at {at} in no direction.")
     node = connect(space, level, xy, room)
     if node < 0:
-        return Refusal(
-            occupied, f"the {space.agent.name} cannot leave the {name} {place_words(place)} in any direction."
-        )
+        return Refusal(occupied, f"{body} cannot leave {at} in any direction.")
     return Endpoint(xy, level, node, heights[level], room)
 
 
-def _heights_words(heights: dict[int, float]) -> str:
-    return ", ".join(dict.fromkeys(f"{z:.2f}" for z in sorted(heights.values())))
+def _status(name: str, start: Status, goal: Status) -> Status:
+    """What refuses a start, or else a goal."""
+    return start if name == "start" else goal
 
 
-def _maps_over(space: FreeSpace, xy: FloatArray) -> Iterator[int]:
-    """Levels whose map a place is in."""
+def _heights_at(space: FreeSpace, xy: FloatArray) -> Iterator[tuple[int, float]]:
+    """Levels with ground at a place, and its height there [m]."""
     x, y = xy.tolist()
     for level, surface in enumerate(space.surfaces):
         (u, v), (nx, ny), width = surface.origin.tolist(), surface.state.shape, surface.cell_width
-        if -width <= x - u <= (nx + 1) * width and -width <= y - v <= (ny + 1) * width:
-            yield level
+        if -width <= x - u <= (nx + 1) * width and -width <= y - v <= (ny + 1) * width:  # else no kernel is asked
+            z = float(height_of(surface.arrays, x, y))
+            if not isnan(z):
+                yield level, z
+
+
+def _level_at(space: FreeSpace, place: FloatArray, name: str, heights: dict[int, float]) -> int | Refusal:
+    """The level that a place means, of those with ground of such heights there."""
+    at, outside = f"the {name} {place_words(place)}", _status(name, Status.START_OUTSIDE_MAP, Status.GOAL_OUTSIDE_MAP)
+    if not heights:
+        near, hint = _nearest(space, place)
+        if any(_shut_in(space, level, place[None, :2]) for level in range(len(space.levels))):
+            occupied = _status(name, Status.START_OCCUPIED, Status.GOAL_OCCUPIED)
+            return Refusal(occupied, f"{at} is inside something, or on ground that nobody has seen.{hint}", near)
+        words = f"no ground is known at {at}. Choose a place on the mapped ground.{hint}"
+        return Refusal(outside, words, near)
+    told = ", ".join(dict.fromkeys(f"{z:.2f}" for z in sorted(heights.values())))
+    if len(place) == 3:
+        level = min(heights, key=lambda one: abs(heights[one] - place[2]))
+        if abs(heights[level] - place[2]) > SAME_GROUND:
+            return Refusal(outside, f"the ground at {at} is at z = {told} m, not {metres(place[2])} m.")
+        return level
+    if max(heights.values()) - min(heights.values()) > SAME_GROUND:
+        return Refusal(Status.AMBIGUOUS_LEVEL, f"there is ground at z = {told} m under {at}. Give its z.")
+    return next(iter(heights))
+
+
+def _nearest(space: FreeSpace, place: FloatArray) -> tuple[FloatArray | None, str]:
+    """The nearest free place, and that in words."""
+    near = nearest_free(space, place, SAME_GROUND)
+    return near, "" if near is None else f" The nearest free place is {place_words(near)}."
+
+
+def _too_tight(space: FreeSpace, place: FloatArray, status: Status, words: str, room: float) -> Refusal:
+    """The refusal of a place, (x, y, z), with too little `room` [m]."""
+    near, hint = _nearest(space, place)
+    radius, margin = space.agent.disc_radius, space.reach - space.agent.disc_radius
+    digits = 2 if round(room, 2) < round(space.reach, 2) else 4  # a millimetre or less may be what is short
+    noise = f", and {margin:.{digits}f} m for the noise of the scan" if margin > 0.0 else ""
+    body = f"the {space.agent.name} (radius {measure(radius)} m{noise})"
+    told = {"room": room, "needed": space.reach, "noise_margin": margin}
+    return Refusal(status, f"{body} {words} {room:.{digits}f} m from its centre.{hint}", near, told)
 
 
 def _faces_somewhere(space: FreeSpace, level: int, xy: FloatArray, room: float) -> bool:

@@ -25,11 +25,11 @@ from gpdf_service.ground import ObstacleKind
 from gpdf_service.ground.foot import LEAST_OBSTACLE
 from gpdf_service.ground.obstacles import least_headroom
 from gpdf_service.kernel_cache import lean
-from gpdf_service.planning.certificate import min_distance
+from gpdf_service.planning.certificate import RESOLUTION
 from gpdf_service.planning.endpoints import Endpoint
 from gpdf_service.planning.words import measure, place_words
 from gpdf_service.search.free_space import FreeSpace
-from gpdf_service.search.places import nearest_places
+from gpdf_service.search.places import least_distance, nearest_places
 from gpdf_service.tiles import HeightMap
 from gpdf_service.tiles.nearest import nearest_of
 from gpdf_service.tiles.surface import UNKNOWN, Cells
@@ -379,9 +379,13 @@ def _exact_width(space: FreeSpace, grid: _Grid, path: IntArray) -> tuple[float, 
     cuts = np.flatnonzero(np.diff(path[:, 0])) + 1
     parts = [(grid.level[path[part[0], 0]], xy[part]) for part in np.split(np.arange(len(path)), cuts) if len(part) > 1]
     middle = [(level, _to_middle(space, level, way, grid.width)) for level, way in parts]
-    proven = [(*min_distance(space, level, way), level) for level, way in (*parts, *middle)]
-    half = len(proven) // 2
-    proven = [max(pair, key=lambda one: one[0]) for pair in zip(proven[:half], proven[half:], strict=True)]
+
+    def prove(level: int, way: FloatArray) -> tuple[float, FloatArray, int]:
+        poses = np.column_stack([way, np.zeros(len(way))])
+        return *least_distance(space.levels[level].places, poses, np.zeros(1), RESOLUTION), level
+
+    pairs = zip(parts, middle, strict=True)
+    proven = [max(prove(*one), prove(*other), key=lambda found: found[0]) for one, other in pairs]
     least, at, level = min(proven, key=lambda one: one[0])
     return least, np.append(at, space.levels[level].surface.height_at(at[None]))
 
@@ -515,12 +519,9 @@ def _cheapest(allowed: BoolArray, height: FloatArray, weight: FloatArray, start:
             if further < cost[near]:
                 cost[near], came_from[near] = further, node
                 heappush(frontier, (further + _ahead(a, b, goal), near))
-    path = [(0, 0, 0) for _ in range(0)]
-    node = last if cost[last] < np.inf else -1
+    path, node = [0 for _ in range(0)], last if cost[last] < np.inf else -1
     while node >= 0:
-        path.append((node // (nx * ny), node // ny % nx, node % ny))
+        path.append(node)
         node = came_from[node]
-    made = np.empty((len(path), 3), np.int64)
-    for k in range(len(path)):
-        made[k, 0], made[k, 1], made[k, 2] = path[len(path) - 1 - k]
-    return made
+    cells = np.array(path[::-1], np.int64)
+    return np.stack((cells // (nx * ny), cells // ny % nx, cells % ny), axis=1)

@@ -22,15 +22,14 @@ from gpdf_service.planning.costs import Discs
 from gpdf_service.planning.endpoints import Ends, Refusal, find_ends
 from gpdf_service.planning.footprint import moving, stand_along
 from gpdf_service.planning.no_path import explain_no_path
-from gpdf_service.planning.others import find_others
+from gpdf_service.planning.others import find_others, find_rival
 from gpdf_service.planning.portals import Bent, Meet, bend_over, pull_over
-from gpdf_service.planning.routes import Leg, Route, Wish, find_cut, find_rival, find_routes, is_as_level, take_up
+from gpdf_service.planning.routes import Leg, Route, Wish, find_cut, find_routes, is_as_level, take_up
 from gpdf_service.planning.shape import lengths
 from gpdf_service.planning.timing import speed_limit
 from gpdf_service.planning.turning import Facing, Stuck, time_poses, turn_route
 from gpdf_service.search.free_space import FreeSpace
-from gpdf_service.search.steps import count_steps
-from gpdf_service.search.ways import STEPPED, WIDE, Prefer, Ways, fields_of, here, prices
+from gpdf_service.search.ways import STEPPED, WIDE, Prefer, Ways, count_steps, fields_of, here, prices
 from gpdf_service.types import Agent, Certificate, FloatArray, IntArray, PlanOptions, PlanResult, Status, Trajectory
 
 Clock = Callable[[], float]
@@ -153,35 +152,39 @@ def _best(task: _Task) -> tuple[PlanResult | None, Route | None]:
 
 def _follow(task: _Task, route: Route) -> PlanResult:
     """A trajectory along a route: of the first candidate that certifies; else UNCERTIFIED, with what is wrong."""
-    space, config, prefer, searched = task.space, task.config, task.wish.prefer, task.clock()
-    legs = pull_over(route.legs, _meet([end.xy for end in task.ends.via]), config.waypoint_spacing)
+    space, searched = task.space, task.clock()
+    legs = pull_over(route.legs, _meet([end.xy for end in task.ends.via]), task.config.waypoint_spacing)
+    made = _at_once(task, legs)
+    if made is None or not made.certificate.holds:
+        found = _certified(task, legs)
+        if isinstance(found, PlanResult):
+            return found
+        made = found
+    details = made.details | {"nodes": float(len(space.graph.position))}
+    details |= {"goal": float(route.goal), "warm": float(route.warm)}
+    details |= _effort(space.agent, made.takes, made.trajectory.ground, made.trajectory.headings, task.wish.prefer)
+    timings = {"search": searched - task.began, "optimise": task.clock() - searched}
+    parts = made.trajectory, made.certificate, timings, details, made.costs
+    return PlanResult(Status.OK, task.ends.moved, *parts)
 
-    def answer(made: _Made) -> PlanResult:
-        timings = {"search": searched - task.began, "optimise": task.clock() - searched}
-        details = made.details | {"nodes": float(len(space.graph.position))}
-        details |= {"goal": float(route.goal), "warm": float(route.warm)}
-        details |= _effort(space.agent, made.takes, made.trajectory.ground, made.trajectory.headings, prefer)
-        parts = made.trajectory, made.certificate, timings, details, made.costs
-        return PlanResult(Status.OK, task.ends.moved, *parts)
 
-    if (soon := _at_once(task, legs)) is not None and soon.certificate.holds:
-        return answer(soon)
-    first, hurried = None, False
+def _certified(task: _Task, legs: list[Leg]) -> _Made | PlanResult:
+    """What is made of the first candidate that certifies, or why none does."""
+    space, spacing, first, hurried = task.space, task.config.waypoint_spacing, None, False
     for candidate in _candidates(task, legs):
         left = task.left()
         if left < -PATIENCE:
             return PlanResult(Status.TIMEOUT, LATE)
         bent = candidate.legs is not legs
         hurried = hurried or left < 0.0 or (left < np.inf and bent and not candidate.details["converged"])
-        contact, top, level, headings = _stand(space, candidate.legs, config.waypoint_spacing, _facing(task.options))
+        contact, top, level, headings = _stand(space, candidate.legs, spacing, _facing(task.options))
         certificate = certify(space, top, contact, level, headings, task.hidden_height)
         first = first or certificate
         if certificate.holds:
-            limit, takes = speed_limit(space, contact, headings, level, _preferred(task), prefer)
-            body_top = contact.copy()
-            body_top[:, 2] += space.agent.height
+            limit, takes = speed_limit(space, contact, headings, level, _preferred(task), task.wish.prefer)
+            body_top = contact + np.array([0.0, 0.0, space.agent.height])
             trajectory = Trajectory(body_top, contact, *time_poses(body_top, headings, space.agent, limit))
-            return answer(_Made(trajectory, certificate, takes, candidate.details, candidate.costs))
+            return _Made(trajectory, certificate, takes, candidate.details, candidate.costs)
     assert first is not None
     if hurried:
         return PlanResult(Status.TIMEOUT, LATE)
@@ -375,14 +378,10 @@ def _bending(leg: Leg, config: PlanningConfig, strict: bool, seconds: float) -> 
     space, agent, wide = leg.space, leg.space.agent, leg.space.agent.disc_radius
     stiff = config.smoothness_weight(wide)
     spacing = max(config.waypoint_spacing, stiff)
-    epsilon = config.preferred_clearance * wide
-    if strict:
-        wall, radius = WALL, space.radius + spacing**2 / (8.0 * wide)
-    else:
-        wall, radius = 0.0, space.reach
+    wall, radius = (WALL, space.radius + spacing**2 / (8.0 * wide)) if strict else (0.0, space.reach)
     return Bending(
         Discs(agent.offsets, radius),
-        Wants(agent.height, epsilon, wall, stiff),
+        Wants(agent.height, config.preferred_clearance * wide, wall, stiff),
         (spacing, config.waypoint_spacing),
         WAYPOINTS_PER_SECOND * seconds,
         Stop(config.max_iterations, config.tolerance),
@@ -393,27 +392,21 @@ def _facing(options: PlanOptions) -> Facing:
     return options.start_heading, options.goal_heading
 
 
-def _stand(
-    space: FreeSpace, legs: list[Leg], spacing: float, facing: Facing
-) -> tuple[FloatArray, FloatArray, IntArray, FloatArray]:
-    """Contact points, where d_g = h over them, levels and headings of a whole path; where legs meet it stands once.
+_Stands = tuple[FloatArray, FloatArray, IntArray, FloatArray]
+"""Contact points, where d_g = h over them, levels and headings of a path."""
 
-    A body of discs turns on the spot at the ends if it must face elsewhere there.
-    """
-    agent, contacts, tops, levels, headings = space.agent, [], [], [], []
-    lever = float(agent.offsets[-1])
-    for i, (level, path, _) in enumerate(legs):
+
+def _stand(space: FreeSpace, legs: list[Leg], spacing: float, facing: Facing) -> _Stands:
+    """How a body stands along a whole path, where legs meet once; one of discs turns at the ends to face as asked."""
+    agent, lever, parts = space.agent, float(space.agent.offsets[-1]), list[_Stands]()
+    for level, path, _ in legs:
         on_level = here(space, level), fields_of(space, level)
         contact, top, heading = stand_along(path, lever, spacing, *on_level, agent.height)
-        on = np.full(len(heading), level)
-        if len(legs) == agent.discs == 1:
-            return contact, top, on, heading
-        first = 1 if i else 0
-        contacts.append(contact[first:])
-        tops.append(top[first:])
-        levels.append(on[first:])
-        headings.append(heading[first:])
-    contact, top, on, heading = map(np.concatenate, (contacts, tops, levels, headings))
+        first, on = int(bool(parts)), np.full(len(heading), level)
+        parts.append((contact[first:], top[first:], on[first:], heading[first:]))
+    if len(legs) == agent.discs == 1:
+        return parts[0]
+    contact, top, on, heading = map(np.concatenate, zip(*parts, strict=True))
     if agent.discs > 1:
         turned = [(0, facing[0]), *enumerate(heading), (-1, facing[1])]
         row = np.array([i % len(contact) for i, angle in turned if angle is not None])

@@ -34,10 +34,7 @@ SAME_GROUND = 0.01
 def pull_over(legs: list[Leg], meet: Meet, spacing: float) -> list[Leg]:
     """A way whose corners at portals are gone where the straight way past them is clear and takes no more steps.
 
-    Args:
-        legs: Of the way.
-        meet: Which of them meet at a portal.
-        spacing: Between places where the ground is looked at [m].
+    The ground is looked at in places with such a `spacing` [m].
     """
     pulled = list(legs)
     for i in [*range(len(legs) - 1)] * PULLS:
@@ -52,11 +49,8 @@ def bend_over(
 ) -> list[Bent]:
     """A way bent over its portals; then what lies around each of them once more, as both ends of that lie well now.
 
-    Args:
-        groups: Pieces of the way, those together that may be bent as one.
-        meet: Which of them meet at a portal.
-        spacing: Between places of a bent path [m].
-        bend: Makes bent paths of pieces that may be bent as one, from the same place to the same place.
+    A group are pieces that may be bent as one: that makes `bend`, from the same place to the same place, of places with
+    such a `spacing` [m].
     """
     made, (pieces, *others) = list[Bent](), groups
     for after in others:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from itertools import pairwise
 from math import hypot, sqrt
 from typing import NamedTuple
@@ -12,7 +11,6 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields.tree import make_scratch
-from gpdf_service.kernel_cache import lean
 from gpdf_service.planning.endpoints import Endpoint, Ends, connect, radius_at
 from gpdf_service.planning.shape import (
     distinct,
@@ -22,15 +20,12 @@ from gpdf_service.planning.shape import (
     pull,
     radius_of,
     radius_within,
-    subdivide,
     tighten,
 )
 from gpdf_service.search.core import Core, Search, climb, find_nodes, search_in, tops_of
 from gpdf_service.search.free_space import FreeSpace
-from gpdf_service.search.graph import Doors, Graph, find_way
-from gpdf_service.search.layered import below
+from gpdf_service.search.graph import Doors, find_way
 from gpdf_service.search.places import Places, distance_at
-from gpdf_service.search.steps import is_near_step
 from gpdf_service.search.ways import (
     LEDGE,
     LENGTH,
@@ -45,6 +40,7 @@ from gpdf_service.search.ways import (
     beside,
     boxed,
     here,
+    is_near_step,
     least_takes,
     prices,
     straight_takes,
@@ -58,19 +54,8 @@ NEAR = 0.5
 """[m] A way known from before is taken up if the start and the goal are this near to it: less than a stride."""
 SPARED = 0.05
 """[-] Effort of less than this share of a way's time is not worth looking for another way."""
-
 PULLED = 1.01
 """[-] A string pulled along a way may cost this much of it: it is looked at in steps."""
-AVOIDED = 2.0
-"""[-] Where a way is known already, the next search finds it as much dearer, each time again."""
-DETOUR = 1.06
-"""[-] A way that is no longer than so many straight lines to its goal is taken: another one costs its time to plan. Of
-2,160 pairs 98 with a shorter one had a rival, and 8 of these were cheaper, by 4 % at most; of the next 32 also 8. Six
-of 597 pairs get a way that an alternative undercuts: three are shorter than this (1.5 to 4.5 %), three are the same
-way bent from another seed (0.1 to 0.7 %)."""
-RIVAL = 1.15
-"""[-] A seed that costs as much more than another one may yet be the cheaper one when both are bent: of 99 rivals up to
-here 47 were, of 73 beyond, up to half as much again, none."""
 MOST_DOORS = 16
 """Leaves of the level ground that are tried from an end among steps, near and further."""
 
@@ -163,11 +148,6 @@ def _is_effort(seconds: list[float], prefer: Prefer) -> bool:
     return seconds[UNSEEN] + seconds[SLOPED] + seconds[STEPPED] + seconds[LEDGE] > SPARED * seconds[LENGTH]
 
 
-def way_takes_of(legs: list[Leg], prefer: Prefer = Prefer.COMPANION) -> FloatArray:
-    """What a way takes, (6,): see `gpdf_service.search.ways`."""
-    return sum((way_takes(leg.path, beside(leg.space, leg.level, prefer)).sum(axis=0) for leg in legs), np.zeros(6))
-
-
 def steps_of(legs: list[Leg]) -> tuple[float, float]:
     """Rise and fall of a way in steps, and in high ones [m]."""
     stepped, high = 0.0, 0.0
@@ -242,10 +222,10 @@ def _shortest(space: FreeSpace, start: Endpoint, goal: Endpoint, prefer: Prefer)
         straight, takes, by_step = _go_straight(start.xy, goal.xy, around, radius, near)
         if len(straight):
             return [Leg(start.level, straight, space)], takes, by_step
-    return _over(space, space.core, start, goal, prefer)
+    return over_core(space, space.core, start, goal, prefer)
 
 
-def _over(
+def over_core(
     space: FreeSpace, core: Core, start: Endpoint, goal: Endpoint, prefer: Prefer
 ) -> tuple[list[Leg], FloatArray, bool]:
     """`_shortest` of the ways over a core."""
@@ -272,106 +252,6 @@ def _net(space: FreeSpace, core: Core) -> Sequence[Search]:
         if core is space.core:
             space.boxes[Search] = box
     return box
-
-
-def find_rival(space: FreeSpace, ends: Ends, wish: Wish, best: Route) -> Route | None:
-    """The next best way of the graph that is another one, if it may be the cheaper one when it is bent; or none.
-
-    A graph leads from leaf to leaf, so to some percent it does not tell which of two ways is the cheaper one when they
-    are pulled straight. A way that is hardly longer than the straight line has no rival, and neither has one that
-    takes effort: it is the cheapest of all ways, which are priced.
-    """
-    goal = ends.goals[best.goal]
-    if goal is None or ends.via or space.agent.discs > 1 or not best.direct:
-        return None
-    if best.length <= DETOUR * hypot(*(goal.xy - ends.start.xy).tolist()) or wish.left() <= 0.0:
-        return None
-    price, width = prices(space.agent, wish.prefer), 2.0 * space.agent.disc_radius
-    core = replace(space.core, graph=avoiding(space.core.graph, best.legs, width))
-    legs, takes, _ = _over(space, core, ends.start, goal, wish.prefer)
-    cost = float(takes @ price)
-    if cost > RIVAL * best.cost or not _are_apart(legs, best.legs, 0.5 * width):
-        return None
-    return Route(legs, best.goal, cost=cost)
-
-
-def avoiding(graph: Graph, legs: list[Leg], width: float, half_size: FloatArray | None = None) -> Graph:
-    """A graph whose ways are dearer within a `width` [m] of the way of these legs.
-
-    Args:
-        graph: Of what stands.
-        legs: The way.
-        width: From its leaves, if their `half_size` is given; else from their centres.
-        half_size: Half the width of each node's leaf [m].
-    """
-    half = np.zeros(len(graph.position)) if half_size is None else half_size
-    dearer = np.ones(len(graph.position))
-    for leg in legs:
-        path = np.ascontiguousarray(leg.path[:, :2])
-        _mark(below(graph.position), below(graph.level), half, leg.level, path, width, dearer)
-    cost = _dearer(graph.first, below(graph.other), below(graph.cost), dearer)
-    return replace(graph, cost=cost)
-
-
-@njit(cache=True, nogil=True)
-def _mark(
-    position: FloatArray,
-    level: IntArray,
-    half: FloatArray,
-    on: int,
-    path: FloatArray,
-    width: float,
-    dearer: FloatArray,
-) -> None:
-    """Make nodes near to a path on a level dearer: `AVOIDED`."""
-    for n in range(len(position)):
-        if level[n] == on and _far_from(path, position[n, 0], position[n, 1], width + half[n]) < width + half[n]:
-            dearer[n] *= AVOIDED
-
-
-@lean()
-def _far_from(path: FloatArray, x: float, y: float, limit: float) -> float:
-    """Distance from a place to a path in plan, (n, 2) [m]; where it is more than the `limit`, that may be told."""
-    least2 = limit * limit
-    for i in range(len(path) - 1):
-        ax, ay, bx, by = path[i, 0], path[i, 1], path[i + 1, 0], path[i + 1, 1]
-        apart_x, apart_y = max(min(ax, bx) - x, x - max(ax, bx)), max(min(ay, by) - y, y - max(ay, by))
-        if apart_x > limit or apart_y > limit:
-            continue
-        dx, dy = bx - ax, by - ay
-        length2 = dx * dx + dy * dy
-        share = min(max(((x - ax) * dx + (y - ay) * dy) / length2, 0.0), 1.0) if length2 > 0.0 else 0.0
-        least2 = min(least2, (x - ax - share * dx) ** 2 + (y - ay - share * dy) ** 2)
-    return sqrt(least2)
-
-
-@njit(cache=True, nogil=True)
-def _dearer(first: IntArray, other: IntArray, cost: FloatArray, dearer: FloatArray) -> FloatArray:
-    """What edges cost between nodes that are so much dearer, (k,)."""
-    made = cost.copy()
-    for n in range(len(dearer)):
-        for e in range(first[n], first[n + 1]):
-            if dearer[n] > 1.0 or dearer[other[e]] > 1.0:
-                made[e] *= sqrt(dearer[n] * dearer[other[e]])
-    return made
-
-
-def _are_apart(legs: list[Leg], others: list[Leg], width: float) -> bool:
-    """Whether a way comes anywhere as far as a `width` [m] from another one on the same level, or is on another one."""
-    for leg in legs:
-        beside_it = [other.path for other in others if other.level == leg.level]
-        if not beside_it or _is_apart(leg.path, np.concatenate(beside_it), width):
-            return True
-    return False
-
-
-@njit(cache=True, nogil=True)
-def _is_apart(path: FloatArray, other: FloatArray, width: float) -> bool:
-    places = subdivide(path, width)
-    for i in range(len(places)):  # noqa: SIM110 - compiled
-        if _far_from(other, places[i, 0], places[i, 1], width) >= width:
-            return True
-    return False
 
 
 @njit(cache=True, nogil=True)

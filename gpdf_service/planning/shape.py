@@ -14,8 +14,7 @@ from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.kernel_cache import lean
 from gpdf_service.planning.costs import Memo, make_memo, recall
 from gpdf_service.search.core import NARROW
-from gpdf_service.search.motion import RESOLUTION, is_leap_clear, is_straight_clear
-from gpdf_service.search.places import Places, distance_at
+from gpdf_service.search.places import RESOLUTION, Places, distance_at, is_leap_clear, is_straight_clear
 from gpdf_service.tiles.surface import UNKNOWN, Cells, cell_of, height_of, rise_around
 from gpdf_service.types import FloatArray, IntArray
 
@@ -223,21 +222,8 @@ def _apart(path: FloatArray, i: int) -> float:
 
 def runs(level: IntArray) -> list[tuple[slice, int]]:
     """Pieces of a path on one level, by the level of each place, (n,); neighbouring pieces share where they meet."""
-    cuts = _changes(level)
-    if not len(cuts):
-        return [(slice(0, len(level)), int(level[0]))]
-    return [
-        (slice(max(a - 1, 0), b), int(level[a]))
-        if b - a + (a > 0) > 1
-        else (slice(max(a - 1, 0), b + 1), int(level[a]))
-        for a, b in pairwise([0, *cuts.tolist(), len(level)])
-    ]
-
-
-@njit(cache=True, nogil=True)
-def _changes(level: IntArray) -> IntArray:
-    """Where another level begins."""
-    return np.flatnonzero(level[1:] != level[:-1]) + 1
+    cuts = [0, *(np.flatnonzero(level[1:] != level[:-1]) + 1).tolist(), len(level)]
+    return [(slice(max(a - 1, 0), max(b, 2)), int(level[a])) for a, b in pairwise(cuts)]
 
 
 @njit(cache=True, nogil=True)

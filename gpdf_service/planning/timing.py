@@ -20,8 +20,7 @@ from gpdf_service.planning.footprint import directions
 from gpdf_service.planning.shape import SAME, lengths, runs
 from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.places import nearest_of
-from gpdf_service.search.steps import is_stepped
-from gpdf_service.search.ways import CARE, LENGTH, TIGHT, UNSEEN, Beside, Here, Prefer, here, least_takes
+from gpdf_service.search.ways import CARE, LENGTH, TIGHT, UNSEEN, Beside, Here, Prefer, here, is_stepped, least_takes
 from gpdf_service.types import Agent, FloatArray, IntArray
 
 STANDING = 1e-3
@@ -41,12 +40,10 @@ LOOK = 0.1
 
 
 def time_path(positions: FloatArray, agent: Agent, limit: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
-    """Times [s] and headings [rad] of a polyline, shape (n, 3), n ≥ 2, without repeated points.
+    """Times [s] and headings [rad] of a polyline, shape (n, 3) [m], n ≥ 2, without repeated points.
 
-    Args:
-        positions: The path [m].
-        agent: Its speed v, acceleration a (along and across: v² κ ≤ a) and turn rate (v κ).
-        limit: Highest speed at each waypoint [m/s], shape (n,); none but the agent's where it is not given.
+    Limits are the body's acceleration a (along and across: v² κ ≤ a), turn rate (v κ) and speed v, or the highest at
+    each waypoint, shape (n,) [m/s].
     """
     highest = np.full(len(positions), agent.speed) if limit is None else limit
     made: tuple[FloatArray, FloatArray] = time_along(

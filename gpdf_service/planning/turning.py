@@ -13,7 +13,7 @@ from gpdf_service.planning.timing import STILL, time_path
 from gpdf_service.planning.words import measure, place_words
 from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.lattice import MOST_POSES, POSES_PER_SECOND, PoseSearch, find_poses, moving
-from gpdf_service.search.motion import leap
+from gpdf_service.search.places import leap
 from gpdf_service.types import Agent, FloatArray, Status
 
 Facing = tuple[float | None, float | None]
@@ -30,15 +30,9 @@ class Stuck:
 
 
 def turn_route(space: FreeSpace, route: Route, seconds: float, facing: Facing = (None, None)) -> Route | Stuck:
-    """The same route with poses (x, y, θ) for legs, or where it cannot be passed.
+    """The same route with poses (x, y, θ) for legs, whose ends are kept, or where it cannot be passed.
 
-    The body begins each leg as it ends the one before.
-
-    Args:
-        space: The body's free space.
-        route: Its legs' ends are kept.
-        seconds: That the search may take.
-        facing: Where the body faces at the start and at the goal [rad]; None leaves it free.
+    The body begins each leg as it ends the one before. The search may take so many `seconds`.
     """
     legs: list[Leg] = []
     heading = facing[0]
@@ -87,13 +81,8 @@ def time_poses(
     """Times [s] and headings [rad] of a path of a body that faces `headings`; a cylinder faces where it goes.
 
     Where it moves, it is as slow as its turn rate asks for; where two places are the same but for rounding it stands
-    and turns, its ends no faster than they may be on the way.
-
-    Args:
-        positions: The path [m], shape (n, 3).
-        headings: Where the body faces [rad], shape (n,).
-        agent: The body.
-        limit: Highest speed at each waypoint [m/s], shape (n,).
+    and turns, its ends no faster than they may be on the way. The path has shape (n, 3) [m], the `limit` of the speed
+    (n,) [m/s].
     """
     if agent.discs == 1:
         return time_path(positions, agent, limit)

@@ -40,15 +40,10 @@ def change_free_space(
     first: Sequence[IntArray],
     setup: Setup,
 ) -> FreeSpace:
-    """The free space that `build_free_space` makes, from the one before.
+    """The free space that `build_free_space` makes, from the `old` one, which was built by the same `setup`.
 
-    Args:
-        old: The free space before.
-        levels: The levels now.
-        ground_fields: Ground GPDFs, 3D.
-        touched: Which level before each one was made from, if any, and where anything in it is another.
-        first: Where the other points of each cell of a level begin, shape (cells + 1,).
-        setup: As the space before was built.
+    It is `touched` where anything in a level is another than in the one before that it was made from. Where the other
+    points of each cell of a level begin says `first`, shape (cells + 1,).
     """
 
     def one(i: int) -> tuple[LevelSpace, IntArray | None]:
@@ -141,14 +136,7 @@ def rows_in_tree(tree: Tree, origin: FloatArray, cell_width: float, wanted: Bool
 
 
 def _change_tree(tree: Tree, gone: IntArray, lost: IntArray, fresh: FloatArray) -> Tree:
-    """The tree without some of its rows, and with `fresh` points after those that it was built of.
-
-    Args:
-        tree: Before.
-        gone: Which of its rows.
-        lost: The same of what it was built of, ascending.
-        fresh: Shape (k, 2) [m].
-    """
+    """The tree without rows that are `gone`, `lost` ones of what it was built of, and with `fresh` points behind."""
     if len(gone) == len(tree.points):
         return build_tree(fresh)
     stay = np.ones(len(tree.points), dtype=bool)

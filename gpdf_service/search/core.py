@@ -103,13 +103,9 @@ def links_of(graph: Graph, free: BoolArray, width: FloatArray, clearance: FloatA
 
 
 def find_core(graph: Graph, free: BoolArray, links: Links, former: Former | None = None) -> Core:
-    """What ways need of a graph of leaves.
+    """What ways need of a graph of leaves that are `free`, (n,).
 
-    Args:
-        graph: Of what stands.
-        free: Which leaves are free, shape (n,).
-        links: Of the graph.
-        former: The version before; only what differs from it, and what that decides on, is decided again.
+    Of a `former` version only what differs from it, and what that decides on, is decided again.
     """
     made, asked = Decided(free.copy(), np.full(len(free), -1, np.int32)), links.narrow
     if former is not None:
@@ -120,12 +116,8 @@ def find_core(graph: Graph, free: BoolArray, links: Links, former: Former | None
 def patch_core(core: Core, graph: Graph, gone: IntArray, added: FloatArray, width: FloatArray) -> Core:
     """The core of a graph with a patch: only what is in that, and what it decides on, is decided again.
 
-    Args:
-        core: Of what stands.
-        graph: With the patch.
-        gone: Nodes that are none any more.
-        added: Free leaves that were, see `Links`, shape (m, 2).
-        width: Theirs [m], shape (m,).
+    The `core` is that of what stands, of which nodes are `gone`; leaves so wide [m], (m,), were `added`, (m, 2): see
+    `Links`.
     """
     was, (stays, up) = core.links, core.decided
     made = Decided(np.append(stays, np.ones(len(added), dtype=bool)), np.append(up, np.full(len(added), -1, np.int32)))
@@ -191,8 +183,7 @@ def _left(
                 crossing[count, 0], crossing[count, 1] = via_was[e, 0], via_was[e, 1]
                 count += 1
         else:
-            begin, end = edges_of(links.net, node[k])
-            for e in range(begin, end):
+            for e in range(*edges_of(links.net, node[k])):
                 near = far_end(links.net, e)
                 if stays[near]:
                     edge[count], far[count], i = e, number[near], e if e < standing else e - standing
@@ -210,8 +201,7 @@ def _rows_that_stand(links: Links, kept: IntArray, changed: IntArray) -> BoolArr
     for node in links.net.patch.node:
         _tell_other(kept, node, same)
     for node in changed:
-        begin, end = edges_of(links.net, node)
-        for e in range(begin, end):
+        for e in range(*edges_of(links.net, node)):
             _tell_other(kept, far_end(links.net, e), same)
     return same
 
@@ -248,12 +238,10 @@ def _ask_near(links: Links, nodes: IntArray, asked: BoolArray) -> None:
     """Mark the narrow ones of these nodes, and of those within two edges of them."""
     for node in nodes:
         asked[node] |= links.narrow[node]
-        begin, end = edges_of(links.net, node)
-        for e in range(begin, end):
+        for e in range(*edges_of(links.net, node)):
             near = far_end(links.net, e)
             asked[near] |= links.narrow[near]
-            first, last = edges_of(links.net, near)
-            for f in range(first, last):
+            for f in range(*edges_of(links.net, near)):
                 asked[far_end(links.net, f)] |= links.narrow[far_end(links.net, f)]
 
 
@@ -274,8 +262,7 @@ def _thin(links: Links, order: IntArray, made: Decided) -> None:
         else:
             turn = heapq.heappop(later)
         node, count, best, most = turn[2], 0, -1, turn
-        begin, end = edges_of(links.net, node)
-        for e in range(begin, end):
+        for e in range(*edges_of(links.net, node)):
             other = far_end(links.net, e)
             if not _is_left(links, stays, other, turn):
                 continue
@@ -293,11 +280,9 @@ def _thin(links: Links, order: IntArray, made: Decided) -> None:
 @njit(cache=True, nogil=True)
 def _ask_around(links: Links, turn: _Turn, asked: BoolArray, later: list[_Turn]) -> None:
     """Let the narrow nodes at most two edges away whose turn is later be decided on, too."""
-    begin, end = edges_of(links.net, turn[2])
-    for e in range(begin, end):
+    for e in range(*edges_of(links.net, turn[2])):
         near = far_end(links.net, e)
-        first, last = edges_of(links.net, near)
-        for f in range(first, last):
+        for f in range(*edges_of(links.net, near)):
             for node in (near, far_end(links.net, f)):
                 if links.narrow[node] and not asked[node] and _turn(links, node) > turn:
                     asked[node] = True
@@ -320,8 +305,7 @@ def _are_joined(links: Links, stays: BoolArray, near: IntArray, turn: _Turn) -> 
             seen[k], count = True, count + 1
     while top > 0 and count < len(near):
         top -= 1
-        begin, end = edges_of(links.net, stack[top])
-        for e in range(begin, end):
+        for e in range(*edges_of(links.net, stack[top])):
             between = far_end(links.net, e)
             if between == turn[2] or not _is_left(links, stays, between, turn):
                 continue
@@ -336,8 +320,7 @@ def _are_joined(links: Links, stays: BoolArray, near: IntArray, turn: _Turn) -> 
 
 @lean()
 def _has_edge(links: Links, node: int, to: int) -> bool:
-    begin, end = edges_of(links.net, node)
-    for e in range(begin, end):  # noqa: SIM110 - compiled
+    for e in range(*edges_of(links.net, node)):  # noqa: SIM110 - compiled
         if far_end(links.net, e) == to:
             return True
     return False
@@ -354,19 +337,17 @@ def climb(graph: Graph, core: Core, node: int) -> tuple[IntArray, IntArray]:
 
 def tops_of(core: Core, nodes: IntArray) -> IntArray:
     """The numbers in the core of the nodes that those of the whole graph lead up to, shape (k,); see `climb`."""
-    made: IntArray = _tops_of(core.links.net, core.decided.up, core.node, nodes)
+    made: IntArray = np.searchsorted(core.node, _tops_of(core.links.net, core.decided.up, nodes))
     return made
 
 
 @njit(cache=True, nogil=True)
-def _tops_of(net: Net, up: IntArray, kept: IntArray, nodes: IntArray) -> IntArray:
-    """See `tops_of`: by the edges `up` to what was kept."""
-    made = np.empty(len(nodes), np.int64)
-    for k in range(len(nodes)):
-        at = nodes[k]
-        while up[at] >= 0:
-            at = far_end(net, up[at])
-        made[k] = np.searchsorted(kept, at)
+def _tops_of(net: Net, up: IntArray, nodes: IntArray) -> IntArray:
+    """Where the edges `up` lead from some nodes."""
+    made = nodes.copy()
+    for k in range(len(made)):
+        while up[made[k]] >= 0:
+            made[k] = far_end(net, up[made[k]])
     return made
 
 
@@ -389,8 +370,8 @@ def search_in(graph: Graph, core: Core) -> Search:
     """A graph and its core as they are searched."""
     left = core.graph
     asked = below(left.position), left.net, below(left.cost), left.landmarks
-    via, place, level = ((below(rows), above(rows)) for rows in (graph.via, graph.position, graph.level))
-    return Search(core.links, core.decided.up, (core.node, core.edge), asked, via, place, level)
+    both = ((below(rows), above(rows)) for rows in (graph.via, graph.position, graph.level))
+    return Search(core.links, core.decided.up, (core.node, core.edge), asked, *both)
 
 
 @njit(cache=True, nogil=True)

@@ -20,11 +20,12 @@ from gpdf_service.search.layered import Layered
 from gpdf_service.search.places import Places, nearest_places, nearest_to
 from gpdf_service.search.quadtree import Quadtree, build_quadtree
 from gpdf_service.search.resplit import SplitQuadtree
-from gpdf_service.search.steps import NOTICED_STEP
 from gpdf_service.tiles import HeightMap
 from gpdf_service.tiles.surface import UNKNOWN, count_cells
 from gpdf_service.types import Agent, ByteArray, FloatArray, IntArray
 
+NOTICED_STEP = 0.03
+"""[m] Lower steps do not slow anybody down: a sill of 2 cm is rolled over. Higher ones are not level ground."""
 NONE = Obstacles(np.zeros((0, 3)), np.zeros(0, np.uint8))
 """Nothing."""
 
@@ -289,3 +290,49 @@ def core_of(parts: tuple[LevelSpace, ...], graph: Graph, former: Former | None =
                 source[part.offset : part.offset + len(own)] = np.where(own < 0, -1, own + old.levels[k].offset)
         known = old.core, source
     return find_core(graph, free, links, known)
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """Facts about a free space.
+
+    Attributes:
+        free_area: Where the body's centre may be [m²].
+        largest_area: Of that, the largest connected piece [m²].
+        pieces: Connected pieces.
+        start: A place in the largest piece with the most room (x, y, z of the ground) [m]; None if nothing is free.
+        goal: A place far from it that is half as roomy at least.
+    """
+
+    free_area: float
+    largest_area: float
+    pieces: int
+    start: FloatArray | None
+    goal: FloatArray | None
+
+
+def find_reach(space: FreeSpace) -> Reach:
+    """Measure a free space: its wholly free leaves, and the pieces that the graph makes of them."""
+    nodes, rows = [], []
+    for own in space.levels:
+        tree = own.quadtree
+        leaves = tree.numbers[tree.whole[tree.numbers]]
+        nodes.append(leaves + own.offset)
+        rows.append(np.column_stack([tree.width * tree.size[leaves], tree.clearance[leaves]]))
+    node, (width, clearance) = np.concatenate(nodes), np.concatenate(rows).T
+    if not len(node):
+        return Reach(0.0, 0.0, 0, None, None)
+    component = np.unique(space.graph.component[node], return_inverse=True)[1]
+    areas = np.bincount(component, weights=width**2)
+    inside = np.flatnonzero(component == areas.argmax())
+    roomiest = inside[clearance[inside].argmax()]
+    roomy = inside[clearance[inside] >= 0.5 * clearance[roomiest]]
+    place = space.graph.position[node]
+    far = roomy[np.linalg.norm(place[roomy] - place[roomiest], axis=1).argmax()]
+    start, goal = (_on_ground(space, one) for one in node[[roomiest, far]])
+    return Reach(float(areas.sum()), float(areas.max()), len(areas), start, goal)
+
+
+def _on_ground(space: FreeSpace, node: int) -> FloatArray:
+    xy = space.graph.position[node]
+    return np.append(xy, space.levels[space.graph.level[node]].surface.height_at(xy[None]))

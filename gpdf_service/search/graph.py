@@ -18,8 +18,7 @@ from gpdf_service.fields.tree import make_scratch
 from gpdf_service.kernel_cache import lean
 from gpdf_service.search.landmarks import NO_LANDMARKS, Landmarks, at_least, bounds_to
 from gpdf_service.search.layered import Rows, below
-from gpdf_service.search.motion import is_straight_clear
-from gpdf_service.search.places import Places
+from gpdf_service.search.places import Places, is_straight_clear
 from gpdf_service.search.quadtree import Quadtree
 from gpdf_service.search.resplit import Leaves, centers
 from gpdf_service.tiles.nodes import components
@@ -315,12 +314,7 @@ def find_path(graph: Graph, start: int, goal: int) -> IntArray:
 def find_way(graph: Graph, begin: Doors, end: Doors, goal: FloatArray, rate: float = 1.0) -> tuple[int, IntArray]:
     """The node that the cheapest way begins with, and its edges in order, shape (k,); −1 where there is none.
 
-    Args:
-        graph: Where to go; an edge costs at least `rate` times its length.
-        begin: By which nodes.
-        end: The same; from there to the goal it costs at least `rate` times the distance.
-        goal: Place in plan (2,) [m].
-        rate: Least cost of a metre.
+    A metre of an edge, and of the way from an end's door to the `goal` (2,) [m], costs at least the `rate`.
     """
     ways = below(graph.position), graph.net, below(graph.cost), graph.landmarks, rate
     first, edges = astar(Question(*ways, *begin, *end, goal), len(graph.position))
@@ -401,6 +395,12 @@ def _is_before(front: Front, estimate: float, node: int, row: int) -> bool:
 
 
 @lean()
+def _put(front: Front, row: int, node: int, estimate: float) -> None:
+    """Put a node into a row of the heap."""
+    front.heap[row], front.estimate[row], front.known[node].at = node, estimate, row + 1
+
+
+@lean()
 def _wait(front: Front, estimate: float, node: int) -> None:
     """Put a node into the heap, or forward in it."""
     row = front.known[node].at - 1
@@ -411,13 +411,9 @@ def _wait(front: Front, estimate: float, node: int) -> None:
         up = (row - 1) >> 1
         if not _is_before(front, estimate, node, up):
             break
-        front.heap[row], front.estimate[row], front.known[front.heap[up]].at = (
-            front.heap[up],
-            front.estimate[up],
-            row + 1,
-        )
+        _put(front, row, front.heap[up], front.estimate[up])
         row = up
-    front.heap[row], front.estimate[row], front.known[node].at = node, estimate, row + 1
+    _put(front, row, node, estimate)
 
 
 @lean()
@@ -432,14 +428,10 @@ def _next(front: Front) -> int:
             down += 1
         if _is_before(front, estimate, node, down):
             break
-        front.heap[row], front.estimate[row], front.known[front.heap[down]].at = (
-            front.heap[down],
-            front.estimate[down],
-            row + 1,
-        )
+        _put(front, row, front.heap[down], front.estimate[down])
         row = down
     if size > 0:
-        front.heap[row], front.estimate[row], front.known[node].at = node, estimate, row + 1
+        _put(front, row, node, estimate)
     return int(first)
 
 
@@ -459,41 +451,35 @@ def astar(question: Question, count: int) -> tuple[int, IntArray]:
     return int(node), np.array(edges[::-1], dtype=np.int64)
 
 
+@lean(inline="always")
+def _come(question: Question, bounds: FloatArray, front: Front, node: int, come: float, by: int, before: int) -> None:
+    """Let a node wait that is reached at a cost, `by` an edge from the one `before`, if that is the cheapest so far."""
+    known = front.known[node]
+    if known.came_by == 0 or come < known.cost_to_come:
+        known.cost_to_come, known.came_by, known.came_from = come, by, before
+        far = 0.0
+        if node < len(front.known) - 1:  # not the goal itself
+            x, y = place_of_node(question.position, question.net.patch, node)
+            straight = question.rate * sqrt((x - question.goal[0]) ** 2 + (y - question.goal[1]) ** 2)
+            far = max(straight, at_least(question.landmarks, bounds, node))
+        _wait(front, come + far, node)
+
+
 @lean()
 def _spread(question: Question, bounds: FloatArray, front: Front) -> None:
     """The search itself: until the goal is the next node, or none is left that leads there."""
-    position, net, cost, landmarks, rate, sources, source_cost, exits, exit_cost, goal = question
-    goal_node, standing, patch = len(front.known) - 1, len(net.other), net.patch
-    for k in range(len(sources)):
-        node = sources[k]
-        if front.known[node].came_by == 0 or source_cost[k] < front.known[node].cost_to_come:
-            front.known[node].cost_to_come, front.known[node].came_by = source_cost[k], -1
-            x, y = place_of_node(position, patch, node)
-            far = max(rate * sqrt((x - goal[0]) ** 2 + (y - goal[1]) ** 2), at_least(landmarks, bounds, node))
-            _wait(front, source_cost[k] + far, node)
+    goal_node, net, cost = len(front.known) - 1, question.net, question.cost
+    standing = len(net.other)
+    for k in range(len(question.sources)):
+        _come(question, bounds, front, question.sources[k], question.source_cost[k], -1, 0)
     while front.size[0] > 0:
         estimate, node = front.estimate[0], _next(front)
         if node == goal_node or estimate == np.inf:
             break
         come = front.known[node].cost_to_come
-        for k in range(len(exits)):
-            reached = come + exit_cost[k]
-            if exits[k] == node and (
-                front.known[goal_node].came_by == 0 or reached < front.known[goal_node].cost_to_come
-            ):
-                front.known[goal_node].cost_to_come, front.known[goal_node].came_by = reached, 1
-                front.known[goal_node].came_from = node
-                _wait(front, reached, goal_node)
-        begin, end = edges_of(net, node)
-        for e in range(begin, end):
-            near = far_end(net, e)
-            reached = come + (cost[e] if e < standing else patch.cost[e - standing])
-            if front.known[near].came_by == 0 or reached < front.known[near].cost_to_come:
-                front.known[near].cost_to_come, front.known[near].came_by, front.known[near].came_from = (
-                    reached,
-                    e + 1,
-                    node,
-                )
-                x, y = place_of_node(position, patch, near)
-                far = max(rate * sqrt((x - goal[0]) ** 2 + (y - goal[1]) ** 2), at_least(landmarks, bounds, near))
-                _wait(front, reached + far, near)
+        for k in range(len(question.exits)):
+            if question.exits[k] == node:
+                _come(question, bounds, front, goal_node, come + question.exit_cost[k], 1, node)
+        for e in range(*edges_of(net, node)):
+            reached = come + (cost[e] if e < standing else net.patch.cost[e - standing])
+            _come(question, bounds, front, far_end(net, e), reached, e + 1, node)

@@ -13,10 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.search.motion import is_motion_clear, turned
-from gpdf_service.search.places import Places
-from gpdf_service.search.poses import Grid, free_poses
-from gpdf_service.search.wavefront import TURNS, Field, field_of, follow, is_reached, mend, row_of, spread
+from gpdf_service.search.places import Places, is_motion_clear, turned
+from gpdf_service.search.poses import TURNS, Field, Grid, field_of, follow, free_poses, is_reached, mend, row_of, spread
 from gpdf_service.tiles import HeightMap
 from gpdf_service.types import FloatArray, IntArray
 
@@ -69,16 +67,11 @@ def find_poses(
     *,
     most: int = MOST_POSES,
 ) -> PoseSearch:
-    """Find a way for a body of discs.
+    """Find a way for a body of discs, beside the `way` of one disc from start to goal, shape (n, 2) [m].
 
-    Args:
-        obstacles: All obstacle places of the body in plan [m].
-        surface: The level's ground.
-        way: A way of one disc from start to goal, shape (n, 2) [m].
-        facing: Where the body faces at the start and at the goal [rad]; None leaves it free.
-        offsets: Where the discs are, ahead of the body's centre [m], ascending, the same on either side, two at least.
-        radius: Least distance of a disc's centre from any obstacle [m].
-        most: Poses that may be looked at.
+    Its discs lie at `offsets` ahead of its centre [m], ascending, the same on either side, two at least, and their
+    centres keep the `radius` from all obstacles [m]. At its ends it faces as asked [rad]; None leaves it free. At `most`
+    so many poses are looked at.
     """
     body = _Body(offsets, radius)
     found = PoseSearch(np.append(way[0], facing[0] or 0.0)[None], reached=False, given_up=True)

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from scipy import ndimage
 
 from gpdf_service.fields import Nearer, build_tree
@@ -15,23 +17,21 @@ from gpdf_service.ground.level import OVERLAP, within_reach
 from gpdf_service.ground.limits import NO_LIMITS
 from gpdf_service.search.core import patch_core
 from gpdf_service.search.free_space import NONE, FreeSpace, Setup, fit_obstacle_field, joined, whole_doors
-from gpdf_service.search.graph import Edges, find_edges
-from gpdf_service.search.patch import Around, Nodes, around, patched
+from gpdf_service.search.graph import Edges, Graph, Net, Patch, edges_of, far_end, find_edges, price_edges
+from gpdf_service.search.layered import Layered, below
 from gpdf_service.search.places import Places
 from gpdf_service.search.resplit import SplitQuadtree, split_again
 from gpdf_service.tiles.boxes import Box
+from gpdf_service.tiles.nodes import components
+from gpdf_service.tiles.rows import is_among, rows_of_runs
 from gpdf_service.tiles.surface import cropped
 from gpdf_service.types import Agent, FloatArray, IntArray
 
 
 def add_moving(space: FreeSpace, levels: Levels, points: FloatArray, setup: Setup) -> FreeSpace:
-    """The free space with more points (k, 3) [m] in it, in time by what they touch.
+    """The free space of what stands, built of these levels by this `setup`, with `points` in it that move, (k, 3) [m].
 
-    Args:
-        space: Of what stands, without anything that moves.
-        levels: The same that it was built of.
-        points: What moves.
-        setup: How the space of what stands was built.
+    It takes time by what they touch.
     """
     scan, parts, start = setup.scan._replace(voxels=False), list(space.levels), len(space.graph.position)
     split: list[tuple[int, SplitQuadtree]] = []
@@ -131,3 +131,124 @@ def _portals(space: FreeSpace, lost: Around) -> Iterator[tuple[Edges, FloatArray
     for a, b in np.unique(places[:, :2].astype(np.int64), axis=0):
         xy = places[(places[:, :2] == (a, b)).all(axis=1), 2:]
         yield whole_doors(space.levels[a], space.levels[b], xy)
+
+
+class Nodes(NamedTuple):
+    """Nodes that are new: places (x, y) [m], shape (k, 2), and level, shape (k,)."""
+
+    position: FloatArray
+    level: IntArray
+
+
+class Around(NamedTuple):
+    """What a graph loses with its nodes that are `gone`, ascending: edges, from a node that is gone, and whose `ring`.
+
+    Attributes:
+        gone: The nodes, shape (g,).
+        source: Of each edge the node that is gone, shape (e,).
+        edge: Its number.
+        ring: Nodes at the far ends that are not gone, ascending.
+    """
+
+    gone: IntArray
+    source: IntArray
+    edge: IntArray
+    ring: IntArray
+
+
+def around(graph: Graph, gone: IntArray) -> Around:
+    """What the graph of what stands loses with these nodes, ascending."""
+    source, edge = _edges_from(graph, gone)
+    other = np.unique(graph.other[edge])
+    return Around(gone, source, edge, other[~is_among(other, gone)])
+
+
+def _edges_from(graph: Graph, nodes: IntArray) -> tuple[IntArray, IntArray]:
+    """The edges of some nodes: from which of them, and their numbers."""
+    first, behind = graph.first[nodes], graph.first[nodes + 1]
+    return np.repeat(nodes, behind - first), rows_of_runs(first, behind)
+
+
+def patched(graph: Graph, lost: Around, fresh: Nodes, edges: Edges, clearance: FloatArray, radius: float) -> Graph:
+    """The graph of what stands without what it has `lost`, and with fresh nodes, numbered after all others.
+
+    One node of each of the `edges` is new; the `clearance` is that at both ends of these, (e, 2) [m].
+    """
+    pairs, via = edges
+    count, size = len(graph.position), len(graph.other)
+    position = Layered(below(graph.position), fresh.position, count)
+    beside = np.unique(np.concatenate([lost.ring, pairs[pairs < count]]))
+    source, kept = _edges_from(graph, beside)
+    stays = ~is_among(graph.other[kept], lost.gone)
+    source, kept = source[stays], kept[stays]
+    price = price_edges(position[pairs], via, clearance, radius)
+    nodes = np.concatenate([beside, count + np.arange(len(fresh.level))])
+    start = np.concatenate([source, pairs[:, 0], pairs[:, 1]])
+    order = np.argsort(start, kind="stable")
+    row = np.zeros(count + len(fresh.level), np.int32)  # pages that nobody reads cost nothing
+    row[nodes] = 1 + np.arange(len(nodes))
+    other = np.concatenate([graph.other[kept], pairs[:, 1], pairs[:, 0]])[order]
+    patch = Patch(
+        nodes,
+        row,
+        np.searchsorted(start[order], np.append(nodes, len(row))),
+        other,
+        np.concatenate([graph.cost[kept], price, price])[order],
+        fresh.position,
+    )
+    return Graph(
+        position,
+        Layered(below(graph.level), fresh.level, count),
+        graph.first,
+        Layered(below(graph.other), other, size),
+        Layered(below(graph.via), np.concatenate([graph.via[kept], via, via])[order], size),
+        Layered(below(graph.cost), patch.cost, size),
+        _components(graph, patch, start[order]),
+        patch,
+    )
+
+
+def _components(graph: Graph, patch: Patch, start: IntArray) -> Layered:
+    """Connected component of each node of a graph with a patch, whose edges `start` at such nodes.
+
+    What stood in one component is joined as before, where what is left of it beside the patch is joined in the patch.
+    Only where that falls apart all of the component is looked through: there may be another way round.
+    """
+    nodes, count, known = patch.node, len(graph.position), len(patch.node) - len(patch.position)
+    here = is_among(patch.other, nodes)
+    own, to = (np.searchsorted(nodes, ends[here]) for ends in (start, patch.other))
+    piece = components(own, to, np.ones(len(nodes), dtype=bool))
+    component = below(graph.component)
+    was = component[nodes[:known]]
+    label = count + np.arange(len(nodes))  # of a piece that nothing standing leads to: that of no other
+    label[piece[:known]] = was
+    fresh = label[piece[known:]]
+    both = np.unique(np.column_stack([was, piece[:known]]), axis=0)[:, 0]
+    torn = np.unique(both[1:][both[1:] == both[:-1]])
+    if len(torn) == 0:
+        return Layered(component, fresh, count)
+    standing = component.copy()
+    seeds = nodes[:known][is_among(was, torn)]
+    _flood(graph.net._replace(patch=patch), seeds, count + len(nodes), standing, fresh)
+    return Layered(standing, fresh, count)
+
+
+@njit(cache=True, nogil=True)
+def _flood(net: Net, seeds: IntArray, label: int, standing: IntArray, fresh: IntArray) -> None:
+    """Give all nodes that one seed leads to a label of their own, from `label` on."""
+    count = len(standing)
+    for seed in seeds:
+        if standing[seed] >= label:
+            continue
+        stack, mine = [seed], label + seed
+        standing[seed] = mine
+        while len(stack) > 0:
+            node = stack.pop()
+            for e in range(*edges_of(net, node)):
+                near = far_end(net, e)
+                if (standing[near] if near < count else fresh[near - count]) < label:
+                    if near < count:
+                        standing[near] = mine
+                    else:
+                        fresh[near - count] = mine
+                    stack.append(near)

@@ -11,7 +11,7 @@ from numba import njit
 from gpdf_service.kernel_cache import lean
 from gpdf_service.search.free_space import FreeSpace
 from gpdf_service.search.layered import below
-from gpdf_service.search.quadtree import Quadtree
+from gpdf_service.search.quadtree import Quadtree, quarters
 from gpdf_service.search.resplit import SplitQuadtree
 from gpdf_service.tiles.surface import BLOCK, Cells, height_of
 from gpdf_service.types import BoolArray, Float32Array, FloatArray, IntArray
@@ -35,7 +35,6 @@ class _LeavesOf(NamedTuple):
 
     code: IntArray
     side: int
-
     origin: FloatArray
     width: float
     corner: IntArray
@@ -48,11 +47,8 @@ class _LeavesOf(NamedTuple):
 def nearest_free(space: FreeSpace, place: FloatArray, off: float, component: int | None = None) -> FloatArray | None:
     """The nearest place (x, y, z of the ground) [m] where the body fits, the centre of a leaf that is not wholly free.
 
-    Args:
-        space: The body's free space.
-        place: (x, y), or (x, y, z): then the ground is no further than `off` above or below it [m].
-        off: [m].
-        component: Of the graph, to which it must belong.
+    Of a place (x, y, z) the ground is no further than `off` above or below it [m]. It is of the graph's `component`, if
+    that is given.
     """
     z, wanted = (float(place[2]) if len(place) == 3 else np.nan), -1 if component is None else component
     asked = _Asked(float(place[0]), float(place[1]), z, off, wanted)
@@ -111,8 +107,7 @@ def _descend(
     It is passed over where no ground has the height that is asked for, by the `ends` of its blocks.
     """
     x, y = (asked.x - leaves.origin[0]) / leaves.width, (asked.y - leaves.origin[1]) / leaves.width
-    code, parts = leaves.code, np.empty(5, np.int64)
-    stack = [(0, 0, leaves.side, 0, len(code))]
+    stack = [(0, 0, leaves.side, 0, len(leaves.code))]
     while len(stack) > 0:
         i, j, n, first, last = stack.pop()
         far = sqrt(max(i - x, x - i - n, 0.0) ** 2 + max(j - y, y - j - n, 0.0) ** 2) * leaves.width
@@ -125,14 +120,10 @@ def _descend(
             continue
         if not _is_as_high(leaves, i, j, n, ground, ends, asked):
             continue
-        h, parts[0] = n // 2, first
-        for quarter in range(4):
-            value = code[first] + (quarter + 1) * h * h
-            parts[quarter + 1] = parts[quarter] + np.searchsorted(code[parts[quarter] : last], value)
+        h, part = n // 2, quarters(leaves.code, n, first, last)
         nearest = 2 * int(x >= i + h) + int(y >= j + h)
-        for k in (3, 1, 2, 0):  # the nearest quarter is pushed last
-            quarter = nearest ^ k
-            stack.append((i + (quarter >> 1) * h, j + (quarter & 1) * h, h, parts[quarter], parts[quarter + 1]))
+        for quarter in (nearest ^ 3, nearest ^ 1, nearest ^ 2, nearest):  # the nearest one is looked at first
+            stack.append((i + (quarter >> 1) * h, j + (quarter & 1) * h, h, part[quarter], part[quarter + 1]))
 
 
 @lean()

@@ -79,8 +79,7 @@ class Quadtree:
 
     def find(self, xy: FloatArray) -> IntArray:
         """Leaf that holds each place, shape (m, 2) [m]; -1 outside the root. Shape (m,)."""
-        cell = np.floor((xy - self.origin) / self.width).astype(np.int64)
-        return self.find_cell(cell)
+        return self.find_cell(np.floor((xy - self.origin) / self.width).astype(np.int64))
 
     def find_one(self, xy: FloatArray) -> int:
         """`find` of a single place, shape (2,)."""
@@ -151,12 +150,18 @@ def _within(code: IntArray, side: int, low: FloatArray, high: FloatArray) -> Int
         if last - first == 1:
             found.append(first)
             continue
-        h, base = n // 2, code[first]
-        for quarter in range(4):
-            end = first + np.searchsorted(code[first:last], base + (quarter + 1) * h * h)
-            stack.append((i + (quarter >> 1) * h, j + (quarter & 1) * h, h, first, end))
-            first = end
+        h, ends = n // 2, quarters(code, n, first, last)
+        for k in range(4):
+            stack.append((i + (k >> 1) * h, j + (k & 1) * h, h, ends[k], ends[k + 1]))
     return np.array(found)
+
+
+@njit(cache=True, nogil=True)
+def quarters(code: IntArray, n: int, first: int, last: int) -> tuple[int, int, int, int, int]:
+    """Where the leaves of each quarter of a square of n × n smallest cells begin, which are n² codes, and the end."""
+    own, share = code[first:last], n * n // 4
+    one, two = np.searchsorted(own, code[first] + share), np.searchsorted(own, code[first] + 2 * share)
+    return first, first + one, first + two, first + np.searchsorted(own, code[first] + 3 * share), last
 
 
 def least_width(surface: HeightMap) -> float:
@@ -174,13 +179,7 @@ def root_of(surface: HeightMap) -> tuple[FloatArray, int]:
 
 
 def build_quadtree(surface: HeightMap, obstacles: Tree, radius: float) -> Quadtree:
-    """Build the tree over the known ground of one level.
-
-    Args:
-        surface: The level's ground.
-        obstacles: All obstacle places of the body in plan [m].
-        radius: Least distance of the body's centre from any of them [m].
-    """
+    """The tree over a level's ground, of a body whose centre keeps a `radius` [m] from all `obstacles` in plan [m]."""
     none = np.zeros(0, np.int64)
     nothing = np.zeros((0, 2), np.int64), none, np.zeros(0), np.zeros(0, np.uint8), none
     return _grow(nothing, surface, obstacles, radius, None, turned(surface, surface))
@@ -199,13 +198,8 @@ def change_quadtree(
     leaf knows, and which is less than the radius and half the diagonal where the node was split; that of what is in it
     is at most half a diagonal more, from a centre half a diagonal nearer. All else is copied.
 
-    Args:
-        old: The tree before; where it had another root, all is looked at.
-        surface: The level's ground.
-        obstacles: All obstacle places now [m].
-        radius: Least distance of the body's centre from any of them [m].
-        places: The obstacle places that came or went [m]; None where there are none.
-        felt: Says which cells became known or unknown, see `turned`.
+    The `places` are the obstacles that came or went [m], if any did; `felt` says which cells became known or unknown,
+    see `turned`.
     """
     corner, depth = root_of(surface)
     if (corner != old.origin).any() or old.side != 1 << depth:

@@ -14,7 +14,7 @@ from gpdf_service.fields.traversal import nearest_at
 from gpdf_service.fields.tree import make_scratch, place_of
 from gpdf_service.search.layered import Layered
 from gpdf_service.search.places import Places, distance_at
-from gpdf_service.search.quadtree import ROUNDING, Quadtree, is_split, state_of
+from gpdf_service.search.quadtree import ROUNDING, Quadtree, is_split, quarters, state_of
 from gpdf_service.tiles import HeightMap
 from gpdf_service.tiles.rows import is_among
 from gpdf_service.tiles.surface import Cells, is_known
@@ -128,13 +128,7 @@ def split_again(tree: Quadtree, surface: HeightMap, places: Places, radius: floa
     """Leaves that what moves touches, ascending, and the free ones in their place.
 
     A leaf is touched if a moving place is so near to its centre that it would be split, blocked, or less roomy than it
-    was, where that is felt.
-
-    Args:
-        tree: Of what stands.
-        surface: The level's ground.
-        places: What stands and what moves [m].
-        radius: Least distance of the body's centre from any of them [m].
+    was, where that is felt. The tree is that of what stands, a body's centre keeps a `radius` [m] from all places.
     """
     own = tree.origin, tree.width, radius
     gone = _touched((tree.clearance, tree.free, tree.whole, tree.code), tree.side, places, own)
@@ -169,11 +163,9 @@ def _touched(
         if is_leaf:
             found.append(first)
             continue
-        h, end = n // 2, last
-        for k in range(3, -1, -1):
-            begin = first + np.searchsorted(code[first:last], code[first] + k * h * h)
-            stack.append((i + (k >> 1) * h, j + (k & 1) * h, h, begin, end, near - 0.5 * half_diagonal - ROUNDING))
-            end = begin
+        h, ends, near = n // 2, quarters(code, n, first, last), near - 0.5 * half_diagonal - ROUNDING
+        for k in range(4):
+            stack.append((i + (k >> 1) * h, j + (k & 1) * h, h, ends[k], ends[k + 1], near))
     return np.sort(np.array(found))
 
 

@@ -7,7 +7,7 @@ that is worth its price, and it is smoothed and kept clear of ledges by the spac
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
@@ -24,15 +24,14 @@ from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.ground import ObstacleKind
 from gpdf_service.kernel_cache import lean
 from gpdf_service.search.core import Core
-from gpdf_service.search.free_space import FreeSpace
+from gpdf_service.search.free_space import NOTICED_STEP, FreeSpace, LevelSpace
 from gpdf_service.search.graph import Edges, Graph, assemble
 from gpdf_service.search.landmarks import find_landmarks
 from gpdf_service.search.layered import below
 from gpdf_service.search.places import Places, nearest_of
 from gpdf_service.search.resplit import FELT
-from gpdf_service.search.steps import NOTICED_STEP, is_stepped
 from gpdf_service.tiles.rows import is_among, rows_among
-from gpdf_service.tiles.surface import UNKNOWN, Cells, cell_of
+from gpdf_service.tiles.surface import UNKNOWN, Cells, cell_of, count_in
 from gpdf_service.types import Agent, BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
 CARE = 0.5
@@ -256,13 +255,8 @@ def _ground_takes(a: tuple[float, float], b: tuple[float, float], on: _Ground) -
 @njit(cache=True, nogil=True)
 def way_steps(path: FloatArray, here: Sequence[Here]) -> tuple[float, float]:
     """Rise and fall in steps, and in high ones, of a way in plan on a level, shape (n, ≥ 2) [m]."""
-    about, stepped, high = here[0].about, 0.0, 0.0
-    on = about.ground, about.steps, about.slopes, about.glad_step
-    for i in range(len(path) - 1):
-        a, b = (path[i, 0], path[i, 1]), (path[i + 1, 0], path[i + 1, 1])
-        _, _, more, higher = _ground_takes(a, b, on)
-        stepped, high = stepped + more, high + higher
-    return stepped, high
+    takes = least_takes(path, here[0].about)
+    return takes[:, STEPPED].sum(), takes[:, LEDGE].sum()
 
 
 class Priced(NamedTuple):
@@ -317,9 +311,7 @@ class Ways:
     @property
     def half_size(self) -> FloatArray:
         """Half the width of each node's leaf [m]."""
-        return np.concatenate(
-            [_of_leaves(each, "half_size", each.core.node, below(each.core.graph.level)) for each in self.spaces]
-        )
+        return np.concatenate([_of_leaves(each, "half_size", np.arange(len(each.core.node))) for each in self.spaces])
 
 
 def find_ways(able: FreeSpace, level: FreeSpace | None, prefer: Prefer, stand: Ways | None = None) -> Ways:
@@ -393,20 +385,23 @@ def _edges_of(core: Core, first: int) -> tuple[IntArray, IntArray, FloatArray]:
     return core.edge[once], pairs, below(core.graph.via).take(once, axis=0)
 
 
-def _of_leaves(space: FreeSpace, name: str, node: IntArray, level: IntArray) -> NDArray[Any]:
-    """A measure of leaves, by their nodes and levels, shape (k,)."""
-    found = [getattr(own.quadtree, name)[node[level == on] - own.offset] for on, own in enumerate(space.levels)]
-    made = np.empty(len(node), found[0].dtype)
-    for on, values in enumerate(found):
-        made[level == on] = values
+def _on_levels(space: FreeSpace, level: IntArray) -> Iterator[tuple[LevelSpace, IntArray]]:
+    """Each level of a space, and the rows of what is on it, by the `level` of each row."""
+    return ((own, np.flatnonzero(level == on)) for on, own in enumerate(space.levels))
+
+
+def _of_leaves(space: FreeSpace, name: str, rows: IntArray) -> FloatArray:
+    """A measure of the leaves of some nodes of a space's core, shape (k,)."""
+    node, made = space.core.node[rows], np.empty(len(rows))
+    for own, here in _on_levels(space, below(space.core.graph.level)[rows]):
+        made[here] = getattr(own.quadtree, name)[node[here] - own.offset]
     return made
 
 
 def _leaf_at(space: FreeSpace, position: FloatArray, level: IntArray) -> IntArray:
     """The node of a space whose leaf holds each place on a level, shape (k,); −1 for none."""
-    made = np.full(len(position), -1, np.int64)
-    for on, own in enumerate(space.levels):
-        here = np.flatnonzero(level == on)
+    made = np.empty(len(position), np.int64)
+    for own, here in _on_levels(space, level):
         leaf = own.quadtree.find(position[here])
         made[here] = np.where(leaf >= 0, leaf + own.offset, -1)
     return made
@@ -423,7 +418,7 @@ def _doors(
     node = count + np.flatnonzero(room[count:] < level.radius + BORDER)
     to = rows_among(leaf[node], able.core.node)
     good = to >= 0
-    good[good] = _of_leaves(able, "whole", leaf[node[good]], below(able.core.graph.level)[to[good]])
+    good[good] = _of_leaves(able, "whole", to[good]) > 0.0
     node, to = node[good], to[good]
     return level.core.node[node - count], np.column_stack([to, node]), position[node]
 
@@ -431,8 +426,7 @@ def _doors(
 def _unseen(space: FreeSpace, position: FloatArray, on: IntArray, room: FloatArray) -> BoolArray:
     """Whether the nearest obstacle of nodes with so much room [m] is ground which nobody has seen, if that is near."""
     one, tight = np.zeros(len(room), dtype=bool), room < space.reach + space.agent.disc_radius
-    for level, own in enumerate(space.levels):
-        here = np.flatnonzero(tight & (on == level))
+    for own, here in _on_levels(space, np.where(tight, on, -1)):
         if len(here):
             one[here] = own.clearance(position[here])[1] == ObstacleKind.UNKNOWN
     return one
@@ -470,3 +464,40 @@ def _ground_of_edges(
                 made[e, SLOPED] += sloped
                 made[e, STEPPED] += stepped
                 made[e, LEDGE] += ledge
+
+
+@lean()
+def is_stepped(ground: Cells, noticed: NDArray[np.int32], x: float, y: float, reach: int) -> bool:
+    """Whether a step that is noticed is within `reach` cells of a place."""
+    u, v = cell_of(ground, x, y)
+    if u < 0:
+        return False
+    left, right = max(u - reach, 0), min(u + reach + 1, noticed.shape[0] - 1)
+    near, far = max(v - reach, 0), min(v + reach + 1, noticed.shape[1] - 1)
+    return bool(count_in(noticed, left, right, near, far) > 0)
+
+
+@lean()
+def is_near_step(path: FloatArray, ground: Cells, noticed: NDArray[np.int32], reach: float) -> bool:
+    """Whether a way in plan, shape (n, 2), comes nearer than `reach` [m] to a step that is noticed."""
+    cells = int(np.ceil(reach / ground.width))
+    for i in range(len(path) - 1):
+        dx, dy = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]
+        length = np.sqrt(dx * dx + dy * dy)
+        count = int(np.ceil(length / (ground.width * cells))) + 1
+        for k in range(count + 1):
+            if is_stepped(ground, noticed, path[i, 0] + k / count * dx, path[i, 1] + k / count * dy, cells):
+                return True
+    return False
+
+
+@lean()
+def count_steps(contact: FloatArray) -> int:
+    """How many steps that are noticed a path over contact points, shape (n, 3), takes; a riser on end is one."""
+    count, before = 0, 0
+    for i in range(len(contact) - 1):
+        rise = contact[i + 1, 2] - contact[i, 2]
+        way = 0 if abs(rise) <= NOTICED_STEP else 1 if rise > 0.0 else -1
+        count += way not in (0, before)
+        before = way
+    return count

@@ -11,7 +11,7 @@ from gpdf_service.bench.paper_tables import METHODS, to_markdown
 from gpdf_service.bench.peers import compare
 from gpdf_service.bench.plan import random_places
 from gpdf_service.cli import main
-from gpdf_service.search.motion import is_clear
+from gpdf_service.search.places import is_clear
 from gpdf_service.types import AGENTS
 
 pytestmark = pytest.mark.slow

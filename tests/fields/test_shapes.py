@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from gpdf_service.fields.edge import fit_pair
 from gpdf_service.fields.heights import fit_heights, make_sums, quadric_rest, sum_heights
-from gpdf_service.fields.shapes import MOST, add, fit_plane, fit_ring, split_sheets
+from gpdf_service.fields.shapes import MOST, add, fit_pair, fit_plane, fit_ring, split_sheets
 from gpdf_service.fields.spacing import local_shape
 from gpdf_service.fields.tree import build_tree, make_look
 

@@ -10,12 +10,12 @@ from gpdf_service.errors import RequestError
 from gpdf_service.fields import fit_gpdf
 from gpdf_service.fields.traversal import sample_at
 from gpdf_service.fields.tree import make_scratch
-from gpdf_service.planning.certificate import certify, min_distance
+from gpdf_service.planning.certificate import RESOLUTION, certify
 from gpdf_service.planning.costs import Discs, Task, make_memo, obstacle_cost
 from gpdf_service.planning.footprint import disc_places, face, travel_headings
 from gpdf_service.planning.turning import time_poses
 from gpdf_service.search.lattice import find_poses
-from gpdf_service.search.motion import is_motion_clear
+from gpdf_service.search.places import is_motion_clear, least_distance
 from gpdf_service.synthetic import Box, Pillar, World, random_room
 from gpdf_service.types import AGENTS
 
@@ -170,7 +170,7 @@ def test_the_certificate_bounds_what_a_fine_sampling_of_the_turning_body_finds(o
     space, rng = scene.free_space(SPOT), np.random.default_rng(1)
     for _ in range(10):
         poses = rng.uniform([0.5, 0.5, -3.0], [5.5, 4.5, 3.0], (4, 3))
-        bound, where = min_distance(space, 0, poses[:, :2], poses[:, 2])
+        bound, where = least_distance(space.levels[0].places, poses, SPOT.offsets, RESOLUTION)
         t = np.linspace(0.0, 3.0, 4000)
         fine = np.column_stack([np.interp(t, range(4), column) for column in poses.T])
         discs = np.vstack([disc_places(fine, offset) for offset in SPOT.offsets])

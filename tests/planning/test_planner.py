@@ -10,11 +10,12 @@ from gpdf_service.bench.plan import random_places
 from gpdf_service.config import Config
 from gpdf_service.errors import RequestError, UnknownAgentError
 from gpdf_service.planning import planner
-from gpdf_service.planning.certificate import certify, min_distance
+from gpdf_service.planning.certificate import RESOLUTION, certify
 from gpdf_service.planning.chomp import Stop, Wants, optimize, solve_banded
 from gpdf_service.planning.costs import Discs
 from gpdf_service.planning.routes import Leg
 from gpdf_service.planning.shape import resample
+from gpdf_service.search.places import least_distance
 from gpdf_service.synthetic import SCENES, Box, World, random_room
 from gpdf_service.types import AGENTS
 from tests.clients.two_storeys import make_house
@@ -224,7 +225,8 @@ def test_the_certificate_is_a_lower_bound_of_what_a_fine_sampling_finds(office):
     rng = np.random.default_rng(2)
     for _ in range(20):
         path = rng.uniform([0.5, 0.5], [5.5, 4.5], (5, 2))
-        bound, where = min_distance(space, 0, path)
+        poses = np.column_stack([path, np.zeros(len(path))])
+        bound, where = least_distance(space.levels[0].places, poses, np.zeros(1), RESOLUTION)
         fine = space.levels[0].clearance(resample(path, 0.001))[0].min()
         assert bound <= fine + 1e-9
         assert fine - bound < 0.003

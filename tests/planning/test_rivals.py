@@ -6,7 +6,8 @@ import pytest
 import gpdf_service as gpdf
 from gpdf_service.bench.plan import random_places
 from gpdf_service.planning import planner
-from gpdf_service.planning.routes import AVOIDED, Leg, avoiding, find_rival
+from gpdf_service.planning.others import AVOIDED, avoiding, find_rival
+from gpdf_service.planning.routes import Leg
 from gpdf_service.synthetic import SCENES
 from gpdf_service.types import AGENTS, Status
 

@@ -5,7 +5,7 @@ import pytest
 
 import gpdf_service as gpdf
 from gpdf_service.planning.timing import BLEND, CARE, LOOK, RAMP, STILL, TICK, _least_around, speed_limit, time_path
-from gpdf_service.search.steps import is_stepped
+from gpdf_service.search.ways import is_stepped
 from gpdf_service.synthetic import SCENES, Box, World
 from gpdf_service.types import AGENTS
 

@@ -28,7 +28,7 @@ from gpdf_service.search.graph import (
     same_leaves,
 )
 from gpdf_service.search.landmarks import find_landmarks
-from gpdf_service.search.patch import Nodes, around, patched
+from gpdf_service.search.moved import Nodes, around, patched
 from gpdf_service.search.places import Places
 from gpdf_service.search.quadtree import build_quadtree, change_quadtree
 from gpdf_service.tiles.surface import HeightMap, turned

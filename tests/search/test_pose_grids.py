@@ -25,10 +25,8 @@ from gpdf_service.search.lattice import (
     find_poses,
     moving,
 )
-from gpdf_service.search.motion import is_motion_clear
-from gpdf_service.search.places import Places
-from gpdf_service.search.poses import Grid
-from gpdf_service.search.wavefront import TURNS, field_of, spread
+from gpdf_service.search.places import Places, is_motion_clear
+from gpdf_service.search.poses import TURNS, Grid, field_of, spread
 from gpdf_service.tiles.surface import OBSERVED, HeightMap
 
 BODY = _Body(np.array([-0.3, 0.0, 0.3]), 0.15)

@@ -6,8 +6,7 @@ from scipy.sparse.csgraph import dijkstra
 from gpdf_service.fields import build_tree, morton
 from gpdf_service.fields.tree import NO_POINTS
 from gpdf_service.search.graph import find_edges, find_path
-from gpdf_service.search.motion import is_clear, least_distance
-from gpdf_service.search.places import Places
+from gpdf_service.search.places import Places, is_clear, least_distance
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gpdf_service.search.steps import NOTICED_STEP, count_steps, is_near_step, is_stepped
+from gpdf_service.search.free_space import NOTICED_STEP
+from gpdf_service.search.ways import count_steps, is_near_step, is_stepped
 from gpdf_service.tiles.surface import OBSERVED, Cells, count_cells
 
 

@@ -6,10 +6,8 @@ import pytest
 
 from gpdf_service.fields import build_tree
 from gpdf_service.search.lattice import _Body, _grid, _moves, find_poses
-from gpdf_service.search.motion import is_motion_clear
-from gpdf_service.search.places import Places
-from gpdf_service.search.poses import Grid, free_poses, lowest
-from gpdf_service.search.wavefront import field_of, follow, is_reached, row_of, spread
+from gpdf_service.search.places import Places, is_motion_clear
+from gpdf_service.search.poses import Grid, field_of, follow, free_poses, is_reached, lowest, row_of, spread
 from gpdf_service.tiles.surface import OBSERVED, UNKNOWN, Cells
 
 OFFSETS, RADIUS = np.array([-0.3, 0.0, 0.3]), 0.15
