@@ -206,9 +206,9 @@ def _match(old: _Told, tree: _Told, now: IntArray, was: IntArray) -> None:
             i += 1
         if i == len(code_was):
             break
-        if code_was[i] == code[k] and size_was[i] == size[k]:
-            if free_was[i] == free[k] and whole_was[i] == whole[k]:
-                now[i], was[k] = k, i
+        alike = code_was[i] == code[k] and size_was[i] == size[k]
+        if alike and free_was[i] == free[k] and whole_was[i] == whole[k]:
+            now[i], was[k] = k, i
 
 
 Squares = tuple[FloatArray, float, IntArray, IntArray]
