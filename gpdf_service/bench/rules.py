@@ -89,7 +89,7 @@ RULES: dict[str, tuple[str, str, Any]] = {
     "roofs": (_P + "segment", "_roofs", _none),
     "low things": (_P + "segment", "low_things", _none),
     "boxes and lids": (_P + "segment", "boxes", _none),
-    "places are no things": (_P + "bumps", "_are_places", lambda *given: np.zeros(given[3].max() + 1, dtype=bool)),
+    "places are no things": (_P + "bumps", "_are_places", lambda *given: np.zeros(len(given[1]), dtype=bool)),
     "dead ends and tables": (_P + "parts", "_dead_ends", _false(2)),
     "fragments are one": (_P + "parts", "_units", lambda parts, *_: np.arange(len(parts.size))),
     "ways between storeys": (_P + "parts", "_between_storeys", lambda _, joins, *__: np.zeros(len(joins[0]), bool)),

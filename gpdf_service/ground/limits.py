@@ -110,8 +110,10 @@ def _wide(width: float) -> bool:
     return 3.0 * width > _LIMITS.tread_depth
 
 
-def step_and_slope(surface: HeightMap) -> Measured:
+def step_and_slope(surface: HeightMap, asked: BoolArray | None = None) -> Measured:
     """Height of the step [m] and slope of the ground [rad] at each cell, shape (nx, ny); 0 where unknown.
+
+    If only some cells are `asked` about, shape (nx, ny), the others are told nothing of.
 
     The slope along an axis is the smaller of the rises to either side, over a foot's length or over one cell, whichever
     is flatter: it is flat on a tread, however short, and true on a hillside. The step is the rise across a cell,
@@ -130,7 +132,7 @@ def step_and_slope(surface: HeightMap) -> Measured:
         rise = np.where(narrow, 0.0, np.fmin(*_rises_beside(height, reach, axis)))  # at the rim, the side that is known
         gradient2 += np.nan_to_num(rise / (reach * width)) ** 2
         short2 += np.where(narrow, 0.0, np.nan_to_num(np.fmin(*_rises_beside(height, 1, axis)) / width)) ** 2
-        usual = median_around(np.nan_to_num(rise / (reach * width)), 2, known)
+        usual = median_around(np.nan_to_num(rise / (reach * width)), 2, known if asked is None else known & asked)
         across = np.abs(_shift(surface.height, -1, axis) - _shift(surface.height, 1, axis)) - 2.0 * width * usual
         one = np.fmax(*_rises_beside(surface.height, 1, axis)) - width * usual
         step = np.fmax(step, np.nan_to_num(np.fmax(np.where(narrow, 0.0, across), one)))

@@ -275,8 +275,8 @@ def voxel_pitch(points: Points) -> float:
 
     Then all lie on rungs, and two surfaces that differ by less than a voxel are as high, or a whole voxel apart.
     """
-    first = points.numbers(np.arange(0, points.count, max(1, points.count // _FIRST)))
-    pitch = _pitch(points.taken(first)[:, 2])
+    first = np.arange(0, len(points.there), max(1, points.count // _FIRST))
+    pitch = _pitch(points.taken(first[points.there[first]])[:, 2])
     if pitch == 0.0:  # nearly always a first look tells
         return 0.0
     z = points.present[:, 2]

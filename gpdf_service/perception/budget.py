@@ -15,9 +15,9 @@ from gpdf_service.types import FloatArray
 
 LAYER_BYTES = 32
 """[bytes] Most that a cell of the layers of a whole cloud takes while its ground is found, empty ones as well."""
-LEVEL_BYTES = 270
+LEVEL_BYTES = 280
 """[bytes] The same of a cell of a level while it is made and measured."""
-KEPT_BYTES = 130
+KEPT_BYTES = 140
 """[bytes] The same of what is kept of it while further levels are made."""
 POINT_BYTES = 1000
 """[bytes] Of grids that each point may ask for: four cells of a level; floors that were scanned ask for 0.05 to 1."""

@@ -21,8 +21,9 @@ from gpdf_service.kernel_cache import lean
 from gpdf_service.tiles.beside import Beside, Strips
 from gpdf_service.tiles.boxes import lowest_around
 from gpdf_service.tiles.layers import HALF, Layers, flat
-from gpdf_service.tiles.nodes import components, extents_of, plan_sums
-from gpdf_service.tiles.pairs import Columns, pairs_around
+from gpdf_service.tiles.nodes import extents_of, numbered, plan_sums, unite
+from gpdf_service.tiles.pairs import AROUND, FAR, Columns, pairs_around
+from gpdf_service.tiles.rows import INDEX
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 LEAST_BUMP = 0.02
@@ -63,12 +64,13 @@ def low_things(near: Beside, ground: Strips, raised: Strips, relief: FloatArray,
     nodes, most = nodes[rough], most[rough]
     if len(nodes) == 0:
         return near.among("low things", nodes)
-    piece = _pieces(layers, nodes, slope)
+    piece = _pieces(nodes, layers.columns, slope)
     length, depth = _extents(layers, nodes, piece)
     stays = (length >= config.standing_width) & (length >= LONG * depth)
     a, drop = _drops_beside(layers, nodes, on, config)
-    stays |= _are_places(layers, nodes, most, piece, on, config)
     stays[piece[a[drop < -LEAST_BUMP]]] = True
+    left, top = _tops(most, piece, ~stays)
+    stays[left] = _are_places(layers, nodes[top], most[top], on, config)
     least = relief if len(relief) == 1 else relief[nodes]
     return near.among("low things", nodes[~stays[piece] & (most > least)])
 
@@ -94,23 +96,24 @@ def boxes(near: Beside, ground: Strips, config: PerceptionConfig) -> Strips:
         np.bincount(piece[a[kind]], minlength=len(depth))
         for kind in (drop < np.inf, drop >= 0.5 * most[a], drop < -LEAST_BUMP)
     )
-    narrow = (depth >= SOLE) & (length < LONG * depth) & (up == 0)
-    narrow &= ~_are_places(layers, nodes, most, piece, on, config)
-    box = ((depth >= config.standing_width) | narrow) & (steps > STEPPED * rim) & (up < RISING * rim)
+    box, wide = (steps > STEPPED * rim) & (up < RISING * rim), depth >= config.standing_width
+    narrow = box & ~wide & (depth >= SOLE) & (length < LONG * depth) & (up == 0)
+    box &= wide
+    left, top = _tops(most, piece, narrow)
+    box[left] = ~_are_places(layers, nodes[top], most[top], on, config)
     return near.among("boxes", nodes[box[piece]])
 
 
 def _are_places(
-    layers: Layers, nodes: IntArray, raised: FloatArray, piece: IntArray, ground: BoolArray, config: PerceptionConfig
+    layers: Layers, tops: IntArray, raised: FloatArray, ground: BoolArray, config: PerceptionConfig
 ) -> BoolArray:
-    """Which pieces of the `nodes`, shape (m,), are joined to more ground than so narrow a thing has; see `LONG`.
+    """Which pieces are joined to more ground than so narrow a thing has, by their `tops`, shape (p,); see `LONG`.
 
-    That is as high as half the most that they are `raised` [m], shape (m,).
+    That is as high as half of what these are `raised` [m], shape (p,).
     """
-    last, enough = _tops(raised, piece), _room_of_things(layers.cell_width, config)
-    top, limits = nodes[last], (int(LANDING / layers.cell_width), enough)
-    least = layers.height[top] - 0.5 * raised[last]
-    found: BoolArray = _cells_as_high(top, layers.columns, ground, least, limits, config.max_step) > enough
+    limits = int(LANDING / layers.cell_width), _room_of_things(layers.cell_width, config)
+    least = layers.height[tops] - 0.5 * raised
+    found: BoolArray = _cells_as_high(tops, layers.columns, ground, least, limits, config.max_step) > limits[1]
     return found
 
 
@@ -124,25 +127,35 @@ def _with_tops(
     layers: Layers, nodes: IntArray, raised: FloatArray, piece: IntArray, ground: BoolArray, config: PerceptionConfig
 ) -> tuple[IntArray, FloatArray, IntArray]:
     """The same, and what pieces that are no places are joined to at their height: nodes, how much, and pieces."""
-    last = _tops(raised, piece)
+    _, last = _tops(raised, piece, np.ones(int(piece.max()) + 1, dtype=bool))
     reach, room = int(LANDING / layers.cell_width), _room_of_things(layers.cell_width, config)
     made = np.zeros(len(ground))
     _join_tops(nodes[last], layers.columns, ground, raised[last], (reach, room), config.max_step, made)
     made[nodes] = raised
     nodes = np.flatnonzero(made > 0.0)
-    return nodes, made[nodes], _pieces(layers, nodes, layers.cell_width * float(np.tan(config.steepest)))
+    return nodes, made[nodes], _pieces(nodes, layers.columns, layers.cell_width * float(np.tan(config.steepest)))
 
 
-def _tops(raised: FloatArray, piece: IntArray) -> IntArray:
-    """Of each piece the row of the node that is raised most, the last one of such, shape (pieces,)."""
-    order = np.lexsort((raised, piece))
-    return order[np.flatnonzero(np.diff(piece[order], append=-1))]
+def _tops(raised: FloatArray, piece: IntArray, asked: BoolArray) -> tuple[IntArray, IntArray]:
+    """The pieces that are `asked` about, (pieces,), and of each the row of the node raised most, the last of such."""
+    left = np.flatnonzero(asked)
+    return left, _highest_of(raised, piece, len(asked))[left]
+
+
+@njit(cache=True, nogil=True)
+def _highest_of(raised: FloatArray, piece: IntArray, pieces: int) -> IntArray:
+    top = np.full(pieces, -1)
+    for row in range(len(piece)):
+        best = top[piece[row]]
+        if best < 0 or raised[row] >= raised[best]:
+            top[piece[row]] = row
+    return top
 
 
 def _raised(layers: Layers, least: float, raised: FloatArray, slope: float) -> tuple[IntArray, FloatArray, IntArray]:
     """Nodes that are raised by more than the `least` [m], shape (m,), by how much, and the piece of each."""
     nodes = np.flatnonzero(raised > least)
-    return nodes, raised[nodes], _pieces(layers, nodes, slope)
+    return nodes, raised[nodes], _pieces(nodes, layers.columns, slope)
 
 
 def _roughness(
@@ -234,11 +247,23 @@ def _among(layers: Layers, nodes: IntArray) -> BoolArray:
     return found
 
 
-def _pieces(layers: Layers, nodes: IntArray, slope: float) -> IntArray:
+@njit(cache=True, nogil=True)
+def _pieces(nodes: IntArray, columns: Columns, slope: float) -> IntArray:
     """Connected piece of each of the `nodes`, shape (m,), ascending, by slopes of so much a cell [m]."""
-    a, b = pairs_around(nodes, layers.columns, _among(layers, nodes), slope, 0.0)
-    pieces: IntArray = components(a, np.searchsorted(nodes, b), np.ones(len(nodes), dtype=bool))
-    return pieces
+    cell, start, (nx, ny), height, _ = columns
+    row, parent = np.full(len(cell), -1, INDEX), np.arange(len(nodes)).astype(INDEX)
+    for n in range(len(nodes)):
+        row[nodes[n]] = n
+    for n in range(len(nodes)):
+        i = nodes[n]
+        x, y = divmod(cell[i], ny)
+        for k in range(4, 8):  # half of those around: each pair once
+            u, v, most = x + AROUND[k][0], y + AROUND[k][1], slope * FAR[k]
+            if u < nx and 0 <= v < ny:
+                for j in range(start[u * ny + v], start[u * ny + v + 1]):
+                    if row[j] >= 0 and abs(height[i] - height[j]) <= most:
+                        unite(parent, n, row[j])
+    return numbered(parent)
 
 
 def _extents(layers: Layers, nodes: IntArray, piece: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -305,13 +330,13 @@ def _around(first: IntArray, boxes: IntArray, columns: Columns, ground: BoolArra
     made, ny = np.empty(len(first)), columns.shape[1]
     for n in range(len(first)):
         level, (left, right, near, far) = columns.height[first[n]], boxes[n]
-        values, used = np.empty((right - left) * (far - near)), 0
+        values, used, even = np.empty((right - left) * (far - near)), 0, 0
         for x in range(left, right):
             for y in range(near, far):
                 j = _nearest(x * ny + y, columns, ground, level, np.inf)
                 if j >= 0:
-                    values[used], used = raised[j], used + 1
-        made[n] = np.quantile(values[:used], 0.75)
+                    values[used], used, even = raised[j], used + 1, even + int(raised[j] == 0.0)
+        made[n] = np.quantile(values[:used], 0.75) if even <= np.ceil(0.75 * (used - 1)) else 0.0
     return made
 
 

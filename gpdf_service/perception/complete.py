@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.ground.foot import LEAST_OBSTACLE
-from gpdf_service.perception.hidden import faces_reach, find_faces, hidden_reach, without_hidden
+from gpdf_service.perception.hidden import (
+    faces_reach,
+    find_faces,
+    hidden_reach,
+    room_behind,
+    room_reach,
+    without_hidden,
+)
 from gpdf_service.perception.holes import fill_faces, fill_holes, standing
 from gpdf_service.perception.notches import NOTCH_DEPTH, between_treads
 from gpdf_service.perception.others import Held
@@ -82,15 +89,19 @@ def _known_to_be_free(
         face = find_faces(as_map(height, state), *held(box), config.min_headroom)
         return (face & ~stair,)  # a flight's treads were seen to its walls
 
+    def behind(_: Box, height: Float32Array, state: ByteArray, lowest: FloatArray, face: BoolArray) -> tuple[IntArray]:
+        return (room_behind(as_map(height, state), lowest, face),)
+
     def shown(
-        box: Box, height: Float32Array, state: ByteArray, lowest: FloatArray, face: BoolArray
+        _: Box, asked: BoolArray, height: Float32Array, state: ByteArray, room: IntArray, face: BoolArray
     ) -> tuple[Float32Array, ByteArray]:
-        part = without_hidden(as_map(height, state), lowest, face)
+        part = without_hidden(as_map(height, state), room, face, asked)
         return part.height, part.state
 
     own = filled.height, filled.state
     (face,) = grid.around("faces", faces_reach(filled), faces, *own, stair, points=True)
-    return as_map(*grid.around("shown", hidden_reach(filled), shown, *own, lowest, face))
+    (room,) = grid.around("behind", room_reach(filled), behind, *own, lowest, face)
+    return as_map(*grid.around("shown", hidden_reach(filled), shown, *own, room, face, asked=True))
 
 
 def notch_reach(surface: HeightMap) -> int:

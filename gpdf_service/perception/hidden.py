@@ -20,13 +20,11 @@ _FACE_REACH = 2
 """Cells within which the ground decides how high a point is."""
 
 
-def without_hidden(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> HeightMap:
-    """Take back inferred ground that a thing of which only a front was seen may stand on.
+def room_behind(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> NDArray[np.int32]:
+    """Squared radius of the largest disc in the unseen around each cell that touches a front [cells²], shape (nx, ny).
 
-    How deep the thing is nobody knows; but where ground or a top was seen it is not. So any disc in the unseen that
-    touches the front may belong to it: behind a trunk as deep as it is wide, behind a long wall up to half-way to the
-    seen ground and as far beyond. Discs of one cell are the scan's spacing, and so is a cell of which all four
-    neighbours were seen, as ground or as the front.
+    It is 0 where none does. How deep a thing is of which only a front was seen nobody knows; but where ground or a top
+    was seen it is not. Discs of one cell are the scan's spacing.
 
     Args:
         surface: After `fill_holes`.
@@ -38,9 +36,30 @@ def without_hidden(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> H
     clear = ((surface.state == OBSERVED) | top) & ~face
     room, front = nearest_of(clear)[0], nearest_of(face)[0]
     shown = (room > 1.0) & (room <= MAX_HOLE_RADIUS / surface.cell_width) & (front <= room + 1.0)
+    return np.rint(np.where(shown, room * room, 0.0)).astype(np.int32)
+
+
+def room_reach(surface: HeightMap) -> int:
+    """Cells within which `room_behind` is decided: a disc's radius, and its front."""
+    return int(np.ceil(MAX_HOLE_RADIUS / surface.cell_width)) + 2
+
+
+def without_hidden(surface: HeightMap, room: NDArray[np.int32], face: BoolArray, told: BoolArray) -> HeightMap:
+    """Take back inferred ground that a thing of which only a front was seen may stand on, in the cells that are `told`.
+
+    Any disc in the unseen that touches the front may belong to it: behind a trunk as deep as it is wide, behind a long
+    wall up to half-way to the seen ground and as far beyond. But a cell of which all four neighbours were seen, as
+    ground or as the front, is the scan's spacing.
+
+    Args:
+        surface: After `fill_holes`.
+        room: `room_behind`, shape (nx, ny).
+        face: Cells in which material goes up from the ground, see `find_faces`.
+        told: Shape (nx, ny).
+    """
     wide = ndimage.binary_dilation((surface.state != OBSERVED) & ~face, SIDES)
-    asked = (surface.state == INFERRED) & wide
-    return without(surface, _discs(np.ascontiguousarray(np.argwhere(shown)), room, count_cells(asked)) & asked)
+    asked = (surface.state == INFERRED) & wide & told
+    return without(surface, _discs(np.ascontiguousarray(np.argwhere(room > 0)), room, count_cells(asked)) & asked)
 
 
 def find_faces(surface: HeightMap, cell: IntArray, z: FloatArray, headroom: float) -> BoolArray:
@@ -81,21 +100,22 @@ def faces_reach(surface: HeightMap) -> int:
 
 
 def hidden_reach(surface: HeightMap) -> int:
-    """Cells within which it is decided whether a thing may stand there: a disc's radius, its room, and its face."""
-    return 2 * int(np.ceil(MAX_HOLE_RADIUS / surface.cell_width)) + 3
+    """Cells within which a disc may cover a cell, `without_hidden`."""
+    return int(np.ceil(MAX_HOLE_RADIUS / surface.cell_width)) + 1
 
 
 @njit(cache=True, nogil=True)
-def _discs(centres: NDArray[np.int64], radius: FloatArray, asked: NDArray[np.int32]) -> BoolArray:
-    """Cells nearer to any of the `centres`, shape (k, 2), than its `radius` [cells], shape (nx, ny), of those `asked`.
+def _discs(centres: NDArray[np.int64], square: NDArray[np.int32], asked: NDArray[np.int32]) -> BoolArray:
+    """Cells nearer to any of the `centres`, (k, 2), than its radius, of those `asked`, shape (nx, ny).
 
-    These are told by `count_cells`: a disc in whose square there is none is passed over.
+    Radii are told by their `square` [cells²], shape (nx, ny), and who is asked by `count_cells`: a disc in whose square
+    there is none is passed over.
     """
-    nx, ny = radius.shape
+    nx, ny = square.shape
     covered = np.zeros((nx, ny), np.bool_)
     for k in range(len(centres)):
         x, y = centres[k, 0], centres[k, 1]
-        reach = radius[x, y]
+        reach = np.sqrt(float(square[x, y]))
         far = int(reach)
         left, right, near, behind = max(x - far, 0), min(x + far + 1, nx), max(y - far, 0), min(y + far + 1, ny)
         if count_in(asked, left, right, near, behind) == 0:

@@ -15,7 +15,14 @@ from gpdf_service.fields.heights import make_sums
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.ground.foot import LEAST_OBSTACLE
 from gpdf_service.perception.bend import FINE, FLAT, bend_at, reach_of
-from gpdf_service.perception.notches import beside_treads, fill_notches, flights_reach, notches_reach
+from gpdf_service.perception.notches import (
+    beside_treads,
+    bites_reach,
+    fill_bites,
+    fill_notches,
+    flights_reach,
+    notches_reach,
+)
 from gpdf_service.perception.voids import MAX_HOLE_RADIUS, RING_SHARE, Voids, near_hollow, walled_down
 from gpdf_service.tiles.boxes import Box, highest_around, lowest_around, window
 from gpdf_service.tiles.columns import by_cell
@@ -86,15 +93,21 @@ def fill_holes(
     def flight(_: Box, height: Float32Array, state: ByteArray) -> tuple[BoolArray]:
         return (beside_treads(replace(surface, height=height, state=state), config),)
 
+    def bites(
+        _: Box, asked: BoolArray, height: Float32Array, treads: BoolArray, beneath: BoolArray, stands: BoolArray
+    ) -> tuple[Float32Array]:
+        return (fill_bites(replace(surface, height=height), treads & asked, beneath, stands),)
+
     def notched(
-        _: Box, height: Float32Array, state: ByteArray, flight: BoolArray, beneath: BoolArray, stands: BoolArray
+        _: Box, height: Float32Array, state: ByteArray, bitten: Float32Array, treads: BoolArray, beneath: BoolArray
     ) -> tuple[Float32Array, ByteArray]:
-        made = fill_notches(replace(surface, height=height, state=state), flight, beneath, stands, config)
+        made = fill_notches(replace(surface, height=height, state=state), bitten, treads, beneath, config)
         return made.height, made.state
 
-    held, at_floor, over = material
+    (held, at_floor, over), beneath = material, voids.through | voids.pit
     (treads,) = grid.around("flights", flights_reach(surface), flight, height, state)
-    given = height, state, treads, voids.through | voids.pit, over
+    (bitten,) = grid.around("bites", bites_reach(surface), bites, height, treads, beneath, over, asked=True)
+    given = height, state, bitten, treads, beneath
     height, state = grid.around("notches", notches_reach(surface, config), notched, *given)
     known = state != UNKNOWN
     ends = _no_holes(grid, surface, near, voids)

@@ -280,14 +280,14 @@ def _nothing(part: Part, width: float) -> Made:
 def measure(grid: Grid, surface: HeightMap) -> tuple[Measured, BoolArray]:
     """Steps and slopes of a level's ground, and its ridges, each of shape (nx, ny)."""
 
-    def steps(_: Box, height: Float32Array, state: ByteArray) -> tuple[FloatArray, FloatArray]:
-        return step_and_slope(replace(surface, height=height, state=state))
+    def steps(_: Box, asked: BoolArray, height: Float32Array, state: ByteArray) -> tuple[FloatArray, FloatArray]:
+        return step_and_slope(replace(surface, height=height, state=state), asked)
 
     def over(_: Box, height: Float32Array, state: ByteArray, pits: Float32Array, *drops: BoolArray) -> tuple[BoolArray]:
         return (ridges(replace(surface, height=height, state=state), FLIGHT_RISE, pits, drops[0] | drops[1]),)
 
     given, pits, drops = (surface.height, surface.state), grid.known["seen"].made[1], grid.known["voids"].made[:2]
-    step, slope = grid.around("measured", limits_reach(surface), steps, *given)
+    step, slope = grid.around("measured", limits_reach(surface), steps, *given, asked=True)
     (ridge,) = grid.around("ridges", ridges_reach(surface), over, *given, pits, *drops)
     return (step, slope), ridge
 

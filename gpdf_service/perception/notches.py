@@ -45,8 +45,29 @@ def flights_reach(surface: HeightMap) -> int:
     return int(FLIGHT / surface.cell_width) + 1
 
 
+def fill_bites(surface: HeightMap, asked: BoolArray, beneath: BoolArray, stands: BoolArray) -> Float32Array:
+    """Heights of the ground with what shadows bite out of a flight, in those of its cells that are `asked` [m].
+
+    Args:
+        surface: The ground.
+        asked: Which cells of `beside_treads`, shape (nx, ny).
+        beneath: Cells under which something was seen, deeper than a step, shape (nx, ny).
+        stands: Cells in which something lies over the nearest ground, shape (nx, ny).
+    """
+    made, box = surface.height.copy(), window(asked, bites_reach(surface))
+    own, stood, below = (np.ascontiguousarray(each[box]) for each in (made, stands, beneath))
+    _fill_bitten(own, asked[box], (stood, below), surface.cell_width)
+    made[box] = own
+    return made
+
+
+def bites_reach(surface: HeightMap) -> int:
+    """Cells within which the ground decides on a bite."""
+    return int((NOTCH_SPAN + NOTCH_DEPTH) / surface.cell_width) + 2
+
+
 def fill_notches(
-    surface: HeightMap, flight: BoolArray, beneath: BoolArray, stands: BoolArray, config: PerceptionConfig
+    surface: HeightMap, bitten: Float32Array, flight: BoolArray, beneath: BoolArray, config: PerceptionConfig
 ) -> HeightMap:
     """Fill what is unknown of a flight and no wider than a foot bridges, `widest_gap`: closing by a disc that wide.
 
@@ -59,17 +80,16 @@ def fill_notches(
 
     Args:
         surface: The ground.
+        bitten: Its heights with `fill_bites` [m], shape (nx, ny).
         flight: `beside_treads`.
         beneath: Cells under which something was seen, deeper than a step, shape (nx, ny).
-        stands: Cells in which something lies over the nearest ground, shape (nx, ny).
         config: Limits.
     """
     width = surface.cell_width
-    box = window(flight, int((NOTCH_SPAN + NOTCH_DEPTH) / width) + 2)  # nothing else is filled, or tells what is
+    box = window(flight, notches_reach(surface, config))  # nothing else is filled, or tells what is
     height, state = surface.height.copy(), surface.state.copy()
-    own, known, flight = np.ascontiguousarray(height[box]), surface.state[box] != UNKNOWN, flight[box]
+    own, known, flight = np.ascontiguousarray(bitten[box]), surface.state[box] != UNKNOWN, flight[box]
     below, radius = beneath[box], 0.5 * config.widest_gap / width
-    _fill_bitten(own, flight, (np.ascontiguousarray(stands[box]), np.ascontiguousarray(below)), width)
     away = nearest_of(~np.isnan(own))[0]
     closed, narrow = (nearest_of(away > half)[0] > half for half in (radius, 0.5 * SOLE / width))
     asked = closed & np.isnan(own) & flight
@@ -84,9 +104,9 @@ def fill_notches(
 
 
 def notches_reach(surface: HeightMap, config: PerceptionConfig) -> int:
-    """Cells within which ground and flights decide on a notch: bites out of them, soles, and discs on these."""
-    lengths = max(FLIGHT, NOTCH_SPAN + NOTCH_DEPTH), 3.0 * SOLE, 1.5 * config.widest_gap
-    return sum(int(length / surface.cell_width) + 2 for length in lengths)
+    """Cells within which ground and flights decide on a notch: soles, and discs on these; or treads seen beneath."""
+    near = sum(int(length / surface.cell_width) + 2 for length in (3.0 * SOLE, 1.5 * config.widest_gap))
+    return max(near, int(FLIGHT / surface.cell_width) + 1)
 
 
 def _disc(radius: float) -> IntArray:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from math import ceil
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.ground.foot import RESOLVED_STEP
@@ -18,7 +19,7 @@ from gpdf_service.tiles.boxes import Box
 from gpdf_service.tiles.layers import BLOCK, Layers
 from gpdf_service.tiles.surface import OBSERVED, UNKNOWN, HeightMap, cropped
 from gpdf_service.tiles.told import Grid
-from gpdf_service.types import BoolArray, ByteArray, Float32Array
+from gpdf_service.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
 
 def part_of(layers: Layers, sheet: BoolArray) -> Part:
@@ -40,10 +41,7 @@ def sheet_surface(grid: Grid, layers: Layers, part: Part, max_step: float, noise
 
     What a flight is tells `max_step` [m], see `bridged`.
     """
-    height, off = np.full(part.shape, np.nan, np.float32), np.zeros((*part.shape, 2), np.float32)
-    at = np.column_stack(np.divmod(layers.cell[part.nodes], layers.shape[1])) - part.first
-    height[*at.T] = layers.height[part.nodes]
-    off[*at.T] = layers.taken(part.nodes).place - part.origin - (at + 0.5) * layers.cell_width
+    height, off = _nodes_at(layers, part)
     pairs = off.view(np.complex64)[..., 0]  # each two in one, to be compared at once
     whole = HeightMap(part.origin, layers.cell_width, height, np.zeros(part.shape, np.uint8))
 
@@ -63,6 +61,36 @@ def sheet_surface(grid: Grid, layers: Layers, part: Part, max_step: float, noise
     reach = max(whole.state.shape) if noise > 0.0 else 1 + footing_reach(whole)  # noise is smoothed further off
     height, _, state = grid.around("seen", reach, answer, height, pairs)
     return replace(whole, height=height, state=state)
+
+
+def _nodes_at(layers: Layers, part: Part) -> tuple[Float32Array, Float32Array]:
+    """Height of each cell's node [m], NaN of none, (nx, ny), and how far its place is from the middle [m], (nx, ny, 2).
+
+    Of none it is 0.
+    """
+    height, off = np.full(part.shape, np.nan, np.float32), np.zeros((*part.shape, 2), np.float32)
+    grid = layers.cell, layers.height, (layers.shape[1], layers.cell_width), part.first, part.origin
+    for own, begin, end in layers.strips(part.first[0], part.first[0] + part.shape[0]):
+        a, b = np.searchsorted(part.nodes, [begin, end]).tolist()
+        _write_nodes(part.nodes[a:b], grid, own.place, begin, height, off)
+    return height, off
+
+
+_Grid = tuple[IntArray, FloatArray, tuple[int, float], tuple[int, int], FloatArray]
+"""Cell and height of all nodes, columns and width of cells, first cell of a part, and its corner [m]."""
+
+
+@njit(cache=True, nogil=True)
+def _write_nodes(
+    nodes: IntArray, grid: _Grid, place: FloatArray, first: int, height: Float32Array, off: Float32Array
+) -> None:
+    """See `_nodes_at`: of nodes of a strip, whose `first` one has the first `place`."""
+    cell, heights, (ny, width), (x, y), origin = grid
+    for node in nodes:
+        i, j = cell[node] // ny - x, cell[node] % ny - y
+        height[i, j] = heights[node]
+        off[i, j, 0] = place[node - first, 0] - origin[0] - (i + 0.5) * width
+        off[i, j, 1] = place[node - first, 1] - origin[1] - (j + 0.5) * width
 
 
 def without_outliers(surface: HeightMap, most: float) -> HeightMap:

@@ -142,10 +142,20 @@ def _change_tree(tree: Tree, gone: IntArray, lost: IntArray, fresh: FloatArray) 
     stay = np.ones(len(tree.points), dtype=bool)
     stay[gone] = False
     made, source = change_tree(tree, stay, np.ascontiguousarray(fresh))
-    row = tree.order[np.maximum(source, 0)]
-    return made._replace(
-        order=np.where(source < 0, len(stay) - len(lost) - 1 - source, row - np.searchsorted(lost, row))
-    )
+    return made._replace(order=_order_now(tree.order, source, lost))
+
+
+@njit(cache=True, nogil=True)
+def _order_now(order: IntArray, source: IntArray, lost: IntArray) -> IntArray:
+    """Which row of what it is built of each row of a tree is, from those before, by its `source`: see `change_tree`."""
+    before, made = np.zeros(len(order), np.int32), np.empty(len(source), np.int64)
+    before[lost] = 1
+    for row in range(1, len(order)):
+        before[row] += before[row - 1]
+    for k in range(len(source)):
+        row = source[k]
+        made[k] = order[row] - before[order[row]] if row >= 0 else len(order) - len(lost) - 1 - row
+    return made
 
 
 def _part(level: GroundLevel, first: IntArray, region: BoolArray, reach: int, shut: int) -> GroundLevel:

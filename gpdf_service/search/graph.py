@@ -22,7 +22,6 @@ from gpdf_service.search.places import Places, is_straight_clear
 from gpdf_service.search.quadtree import Quadtree
 from gpdf_service.search.resplit import Leaves, centers
 from gpdf_service.tiles.nodes import components
-from gpdf_service.tiles.rows import rows_among
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 
@@ -187,14 +186,28 @@ SameLeaves = tuple[IntArray, IntArray]
 def same_leaves(old: Quadtree, tree: Quadtree) -> SameLeaves:
     """Which leaves of two trees are the same ones."""
     now, was = np.full(len(old.code), -1), np.full(len(tree.code), -1)
-    if (old.origin != tree.origin).any() or old.side != tree.side:
-        return now, was
-    row = rows_among(old.code, tree.code)
-    leaves = np.flatnonzero(row >= 0)
-    for one, other in ((old.size, tree.size), (old.free, tree.free), (old.whole, tree.whole)):
-        leaves = leaves[one[leaves] == other[row[leaves]]]
-    now[leaves], was[row[leaves]] = row[leaves], leaves
+    if (old.origin == tree.origin).all() and old.side == tree.side:
+        one, other = ((each.code, each.size, each.free, each.whole) for each in (old, tree))
+        _match(one, other, now, was)
     return now, was
+
+
+_Told = tuple[IntArray, IntArray, BoolArray, BoolArray]
+"""Morton code of each leaf of a tree, ascending, its size, and whether it is free, and wholly."""
+
+
+@njit(cache=True, nogil=True)
+def _match(old: _Told, tree: _Told, now: IntArray, was: IntArray) -> None:
+    """See `same_leaves`: both in turn, by their codes."""
+    (code_was, size_was, free_was, whole_was), (code, size, free, whole), i = old, tree, 0
+    for k in range(len(code)):
+        while i < len(code_was) and code_was[i] < code[k]:
+            i += 1
+        if i == len(code_was):
+            break
+        alike = code_was[i] == code[k] and size_was[i] == size[k]
+        if alike and free_was[i] == free[k] and whole_was[i] == whole[k]:
+            now[i], was[k] = k, i
 
 
 Squares = tuple[FloatArray, float, IntArray, IntArray]
@@ -278,21 +291,32 @@ def _put_rows(edges: Edges, cost: FloatArray, first: IntArray, made: tuple[IntAr
 
 
 def price_edges(ends: FloatArray, via: FloatArray, clearance: FloatArray, radius: float) -> FloatArray:
-    """Cost of edges [m], shape (e,), from their ends' places, (e, 2, 2) [m], crossings, and ends' clearance, (e, 2).
+    """`price_pairs` of edges, from their ends' places, (e, 2, 2) [m], crossings, and ends' clearance, (e, 2) [m]."""
+    edges = np.arange(2 * len(via)).reshape(-1, 2), via
+    return price_pairs(np.ascontiguousarray(ends).reshape(-1, 2), clearance.ravel(), edges, radius)
+
+
+def price_pairs(position: FloatArray, clearance: FloatArray, edges: Edges, radius: float) -> FloatArray:
+    """Cost of edges [m], shape (e,), between nodes, of all of which place [m] and clearance [m] are given.
 
     An edge costs its length times 1 + max(0, 1 − (d − r)/r): up to twice where the body brushes past, once where there
     is as much room beside it as half its width. The factor is at least 1, so the Euclidean heuristic stays admissible.
     """
-    (x, y), room = np.moveaxis(ends - via[:, None], 2, 0), clearance.min(axis=1)
-    length = np.sqrt(x * x + y * y).sum(axis=1)
-    made: FloatArray = length * (1.0 + np.clip(1.0 - (room - radius) / radius, 0.0, 1.0))
-    return made
+    cost = np.empty(len(edges[1]))
+    _price(position, clearance, edges, radius, cost)
+    return cost
 
 
-def price_pairs(position: FloatArray, clearance: FloatArray, edges: Edges, radius: float) -> FloatArray:
-    """`price_edges` of pairs of nodes, of all of which place [m] and clearance [m] are given."""
+@njit(cache=True, nogil=True)
+def _price(position: FloatArray, clearance: FloatArray, edges: Edges, radius: float, cost: FloatArray) -> None:
+    """See `price_pairs`."""
     pairs, via = edges
-    return price_edges(position[pairs], via, clearance[pairs], radius)
+    for e in range(len(pairs)):
+        length, room = 0.0, np.inf
+        for k in range(2):
+            x, y = position[pairs[e, k], 0] - via[e, 0], position[pairs[e, k], 1] - via[e, 1]
+            length, room = length + sqrt(x * x + y * y), min(room, clearance[pairs[e, k]])
+        cost[e] = length * (1.0 + min(max(1.0 - (room - radius) / radius, 0.0), 1.0))
 
 
 class Doors(NamedTuple):

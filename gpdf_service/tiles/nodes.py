@@ -12,7 +12,7 @@ from gpdf_service.types import BoolArray, ByteArray, FloatArray, IntArray
 
 
 @njit(cache=True, nogil=True)
-def _unite(parent: IntArray, i: int, j: int) -> None:
+def unite(parent: IntArray, i: int, j: int) -> None:
     """Make one tree of those of i and j (Rem): who climbs, from the higher parent, gets the other's lower one."""
     p, q = parent[i], parent[j]
     while p != q:
@@ -36,7 +36,7 @@ def components(a: IntArray, b: IntArray, among: BoolArray) -> IntArray:
         i, j = a[e], b[e]
         if not (among[i] and among[j]):
             continue
-        _unite(parent, i, j)
+        unite(parent, i, j)
     return numbered(parent)
 
 
@@ -358,7 +358,7 @@ def pieces_of(columns: Columns, inner: BoolArray, rise: float, step: float) -> t
                 most = rise * FAR[k] + step
                 for j in range(start[u * ny + v], start[u * ny + v + 1]):
                     if inner[j] and abs(height[i] - height[j]) <= most:
-                        _unite(root, i, j)
+                        unite(root, i, j)
     for i in range(len(cell)):
         if inner[i]:
             label[i] = used if root[i] == i else label[root[i]]

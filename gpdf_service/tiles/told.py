@@ -152,6 +152,7 @@ class Grid:
         answer: Callable[..., tuple[NDArray[Any], ...]],
         *given: NDArray[Any],
         points: bool = False,
+        asked: bool = False,
     ) -> tuple[NDArray[Any], ...]:
         """What a question is told of each cell, arrays of shape (nx, ny, …).
 
@@ -161,6 +162,7 @@ class Grid:
             answer: Called with a box of cells and what is given for them.
             given: Arrays of shape (nx, ny).
             points: Whether the answer asks the points that the cells hold, too.
+            asked: Whether it is told, before what is given, of which cells it is asked.
         """
         felt = self.felt(name, reach, *given, points=points)
 
@@ -168,6 +170,9 @@ class Grid:
             for box in boxes_of(felt, reach):
                 outer = grown(box, reach, felt.shape)
                 own, there = within(box, outer), [np.ascontiguousarray(each[outer]) for each in given]
+                if asked:
+                    there.insert(0, np.zeros(there[0].shape, dtype=bool))
+                    there[0][own] = felt[box]
                 yield box, tuple(each[own] for each in answer(outer, *there))
 
         return self.put(name, given, felt, parts())
