@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.perception.notches import beside_treads, fill_notches, notches_reach
+from gpdf_service.ground.footing import flights
+from gpdf_service.perception.notches import FLIGHT, fill_notches, notches_reach
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
 
-WIDTH = 0.05
+WIDTH, LIMITS = 0.05, PerceptionConfig()
 RISE = 0.17
 DEPTH = 6
 """Cells of a tread: 30 cm."""
@@ -17,8 +18,8 @@ def filled(height, below=None, stands=None, flight=None):
     state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
     below, stands = (np.zeros(height.shape, dtype=bool) if each is None else each for each in (below, stands))
     surface = HeightMap(np.zeros(2), WIDTH, height.astype(np.float32), state)
-    flight = beside_treads(surface, PerceptionConfig()) if flight is None else flight
-    made = fill_notches(surface, flight, below, stands, PerceptionConfig())
+    flight = flights(surface, LIMITS.max_step, FLIGHT) if flight is None else flight
+    made = fill_notches(surface, flight, below, stands, LIMITS)
     return made.height, made.state
 
 
@@ -160,7 +161,7 @@ def test_treads_of_which_half_were_seen_from_beneath_are_filled_alike_in_any_box
     below[:, ::2] = True
     state, columns = filled(height, below)[1], slice(70, 130)
     surface = HeightMap(np.zeros(2), WIDTH, height, np.where(np.isnan(height), UNKNOWN, OBSERVED))
-    treads, reach = (told(surface, PerceptionConfig()) for told in (beside_treads, notches_reach))
+    treads, reach = flights(surface, LIMITS.max_step, FLIGHT), notches_reach(surface, LIMITS)
     for first in range(70, 130, 4):
         box = slice(first - reach, first + 4 + reach), slice(columns.start - reach, columns.stop + reach)
         part = filled(height[box], below[box], flight=treads[box])[1][reach:-reach, reach:-reach]
