@@ -51,11 +51,7 @@ def find_faces(surface: HeightMap, cell: IntArray, z: FloatArray, headroom: floa
     `headroom`, at any height, may go down. And what is lower than twice that, and as large as half a foot, is a box on
     the floor of which a scan from afar may show some of the top alone.
 
-    Args:
-        surface: The ground.
-        cell: Flat cell of each of the points, shape (m,).
-        z: Their heights [m], shape (m,).
-        headroom: [m].
+    Each of the points, by its flat `cell`, shape (m,), has a height `z` [m].
     """
     known = surface.state != UNKNOWN
     beside = highest_around(np.where(known, surface.height, -np.inf), _FACE_REACH).astype(float)
@@ -65,8 +61,7 @@ def find_faces(surface: HeightMap, cell: IntArray, z: FloatArray, headroom: floa
     face |= (surface.state != OBSERVED) & (top - bottom >= headroom)
     piece, _ = ndimage.label(np.isfinite(low), np.ones((3, 3)))
     large = np.bincount(piece.ravel()) >= _foot_cells(surface)
-    large[0] = False
-    found: BoolArray = face | large[piece]
+    found: BoolArray = face | (large[piece] & (piece > 0))
     return found
 
 
@@ -86,17 +81,12 @@ def hidden_reach(surface: HeightMap) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _discs(centres: NDArray[np.int64], radius: FloatArray, asked: NDArray[np.int32]) -> BoolArray:
-    """Cells nearer to any of the `centres`, shape (k, 2), than its `radius` [cells], shape (nx, ny), of those `asked`.
-
-    These are told by `count_cells`: a disc in whose square there is none is passed over.
-    """
+def _discs(centres: IntArray, radius: FloatArray, asked: NDArray[np.int32]) -> BoolArray:
+    """Cells nearer to any of the `centres`, (k, 2), than its `radius` [cells], (nx, ny); `asked` are `count_cells`."""
     nx, ny = radius.shape
     covered = np.zeros((nx, ny), np.bool_)
-    for k in range(len(centres)):
-        x, y = centres[k, 0], centres[k, 1]
-        reach = radius[x, y]
-        far = int(reach)
+    for x, y in centres:
+        reach, far = radius[x, y], int(radius[x, y])
         left, right, near, behind = max(x - far, 0), min(x + far + 1, nx), max(y - far, 0), min(y + far + 1, ny)
         if count_in(asked, left, right, near, behind) == 0:
             continue
