@@ -115,7 +115,7 @@ RULES: dict[str, tuple[str, str, Any]] = {
     "what fronts hide": (_P + "complete", "without_hidden", _first),
     "filling of holes": (_P + "complete", "fill_holes", _first),
     "single empty cells": (_P + "holes", "_fill_gaps", lambda _, __, height, state, *___: (height, state)),
-    "single cells on bends": (_P + "holes", "_onto_bends", lambda *_: None),
+    "single cells on bends": (_P + "holes", "onto_bends", lambda *_: None),
     "planes over holes": (_P + "holes", "_fill", lambda *_: None),
     "single cells where rays met the floor": (_P + "holes", "_fill_single", lambda _, *ground: ground),
     "cells of a step's face": (_P + "complete", "fill_faces", _first),

@@ -29,7 +29,7 @@ class GroundLevel:
     Attributes:
         surface: Its height map.
         other_points: What is not this ground and within reach over it [m], shape (m, 3).
-        ledge: Height of the lowest point of this ground that is as high as each of them, within `face_reach` in plan
+        ledge: Height of the lowest point of this ground that is as high as each of them, within `FACE` in plan
             [m], shape (m,), inf where there is none: a step's face has the step's top beside it.
         measured: Steps and slopes of the ground, the same for all bodies.
         edges: Cells in which material guards the ground's edge, and those on a ridge, each of shape (nx, ny).

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.ground.foot import LEAST_OBSTACLE
 from gpdf_service.perception.hidden import (
+    Room,
     faces_reach,
     find_faces,
     hidden_reach,
@@ -40,13 +41,8 @@ def complete(
     Holes are filled in the whole level. What edges, faces and things that may stand behind them make of a cell is
     decided by what is within a known reach of it.
 
-    Args:
-        grid: What was asked of its cells.
-        seen: The ground as it was seen.
-        held: Says which other points are in a box of cells.
-        voids: What is seen deeper.
-        near: Where the ground was seen, `nearest_seen`.
-        site: Its rays tell what may stand on inferred ground where they are known; else fronts do.
+    The ground as it was `seen` has `near` for `nearest_seen`. `held` says which other points are in a box of cells. The
+    rays of the `site` tell what may stand on inferred ground where they are known; else fronts do.
     """
     config, as_map = site.config, partial(HeightMap, seen.origin, seen.cell_width)
 
@@ -68,32 +64,24 @@ def complete(
     filled = as_map(height, state)
     if site.rays is not None:
         return seen_by_rays(filled, site.rays, config, site.noise), guarded
-    return _known_to_be_free(grid, filled, held, lowest, stair, config), guarded
+    return _known_to_be_free(grid, filled, held, lowest, stair, config.min_headroom), guarded
 
 
 def _known_to_be_free(
-    grid: Grid,
-    filled: HeightMap,
-    held: Callable[[Box], Held],
-    lowest: FloatArray,
-    stair: BoolArray,
-    config: PerceptionConfig,
+    grid: Grid, filled: HeightMap, held: Callable[[Box], Held], lowest: FloatArray, stair: BoolArray, headroom: float
 ) -> HeightMap:
-    """The `filled` ground but for what a thing may stand on of which only a front was seen; see `without_hidden`.
-
-    The `lowest` other point of each cell [m] and which cells are a `stair`'s are told, shape (nx, ny).
-    """
+    """The `filled` ground but for what a thing may stand on of which only a front was seen; see `without_hidden`."""
     as_map = partial(HeightMap, filled.origin, filled.cell_width)
 
     def faces(box: Box, height: Float32Array, state: ByteArray, stair: BoolArray) -> tuple[BoolArray]:
-        face = find_faces(as_map(height, state), *held(box), config.min_headroom)
-        return (face & ~stair,)  # a flight's treads were seen to its walls
+        # a flight's treads were seen to its walls
+        return (find_faces(as_map(height, state), *held(box), headroom) & ~stair,)
 
-    def behind(_: Box, height: Float32Array, state: ByteArray, lowest: FloatArray, face: BoolArray) -> tuple[IntArray]:
+    def behind(_: Box, height: Float32Array, state: ByteArray, lowest: FloatArray, face: BoolArray) -> tuple[Room]:
         return (room_behind(as_map(height, state), lowest, face),)
 
     def shown(
-        _: Box, asked: BoolArray, height: Float32Array, state: ByteArray, room: IntArray, face: BoolArray
+        _: Box, asked: BoolArray, height: Float32Array, state: ByteArray, room: Room, face: BoolArray
     ) -> tuple[Float32Array, ByteArray]:
         part = without_hidden(as_map(height, state), room, face, asked)
         return part.height, part.state
@@ -117,12 +105,7 @@ def guard_edges(
     That does only what is over the ground beside and the lowest body cannot pass under. A step's face and the wall of a
     drop do not; but what is seen below a shadow in a stair, with treads on either side, is the stair.
 
-    Args:
-        surface: The ground.
-        lowest: Of the other points in each cell [m], shape (nx, ny).
-        cell: Flat cell of each other point, shape (m,).
-        z: Its height [m], shape (m,).
-        config: Limits.
+    Each other point, by its flat `cell`, shape (m,), has a height `z` [m]; `lowest` is that of each cell, (nx, ny).
     """
     known, reach = surface.state != UNKNOWN, notch_reach(surface)
     high, low = np.where(known, surface.height, -np.inf), np.where(known, surface.height, np.inf)

@@ -75,12 +75,8 @@ class Sampling(NamedTuple):
     pitch: float = 0.0
 
 
-class _Sample(NamedTuple):
-    """Which points are a sample of the cloud, shape (n,), and the cloud's spacing and noise [m]."""
-
-    picked: BoolArray
-    spacing: float
-    noise: float
+_Sample = tuple[BoolArray, float, float]
+"""Which points are a sample of the cloud, shape (n,), and the cloud's spacing and noise [m]."""
 
 
 def cure_and_segment(
@@ -99,29 +95,21 @@ def cure_and_segment(
         config: Limits.
         known: Of a cloud that was clean, and changed a little; measured when not given.
     """
+
+    def floor_of(width: float | None, pitch: float) -> tuple[BoolArray, Segmentation | None]:
+        return (ground, None) if ground is not None else segment(points, config, width=width, pitch=pitch)
+
     if known is not None:
-        return _as_it_was(points, ground, config, known)
-    sample = _measure(points)
-    least = max(config.negligible_noise, (_SEEN if ground is None else _SEEN_APART) * sample.spacing)
-    noise = sample.noise
-    if ground is not None:
-        noise = _with_double(points, ground, sample, least)
+        floor, found = floor_of(known.width, known.pitch)
+        return CuredGround(_clean(points, known.noise), floor, as_it_was=True, segmentation=found)
+    _, spacing, noise = sample = _measure(points)
+    least = max(config.negligible_noise, (_SEEN if ground is None else _SEEN_APART) * spacing)
+    if ground is not None or noise <= least:
+        floor, found = floor_of(None, voxel_pitch(points_of(points)))
+        noise = _with_double(points, floor, sample, least)
         if noise <= least:
-            return CuredGround(_clean(points, noise), ground, as_it_was=True)
-        return _cured(points, ground, noise, sample.spacing)
-    if noise <= least:
-        first, segmentation = segment(points, config, pitch=voxel_pitch(points_of(points)))
-        noise = _with_double(points, first, sample, least)
-        if noise <= least:
-            return CuredGround(_clean(points, noise), first, as_it_was=True, segmentation=segmentation)
-    return _found(points, noise, sample.spacing, config)
-
-
-def _as_it_was(points: FloatArray, ground: BoolArray | None, config: PerceptionConfig, known: Sampling) -> CuredGround:
-    segmentation = None
-    if ground is None:
-        ground, segmentation = segment(points, config, width=known.width, pitch=known.pitch)
-    return CuredGround(_clean(points, known.noise), ground, as_it_was=True, segmentation=segmentation)
+            return CuredGround(_clean(points, noise), floor, as_it_was=True, segmentation=found)
+    return _found(points, noise, spacing, config) if ground is None else _cured(points, ground, noise, spacing)
 
 
 def _clean(points: FloatArray, noise: float) -> Denoised:
@@ -132,15 +120,13 @@ def _clean(points: FloatArray, noise: float) -> Denoised:
 
 def _with_double(points: FloatArray, ground: BoolArray, sample: _Sample, least: float) -> float:
     """Noise of the cloud [m], or how far the sheets of its ground are off each other, where they are."""
-    double = estimate_noise(chosen_rows(points, sample.picked & ground), sample.spacing, sheets=False, places=_PLACES)
-    return double if double > max(_DOUBLE * sample.noise, least) else sample.noise
+    picked, spacing, noise = sample
+    double = estimate_noise(chosen_rows(points, picked & ground), spacing, sheets=False, places=_PLACES)
+    return double if double > max(_DOUBLE * noise, least) else noise
 
 
 def _cured(points: FloatArray, ground: BoolArray, noise: float, spacing: float) -> CuredGround:
-    """A cloud with labels: stairs on their treads, and what is between two treads on their risers.
-
-    The floor explains nothing that was labelled as no ground, and no thing what is ground.
-    """
+    """A cloud with labels: the floor explains nothing that was labelled as no ground, and no thing what is ground."""
     cured = denoise(points, noise, spacing, ground)
     cured.stray[~ground] = False  # what is alone goes back to a surface that explains it, or stays where it is
     return_explained(points, ~ground, ~ground, cured, spacing)
@@ -150,10 +136,7 @@ def _cured(points: FloatArray, ground: BoolArray, noise: float, spacing: float) 
 
 
 def _found(points: FloatArray, noise: float, spacing: float, config: PerceptionConfig) -> CuredGround:
-    """A cloud without labels: denoised as a whole, then segmented.
-
-    What is no ground may be an outlier of it. Ground stays: points that are put back clump, and leave cells empty.
-    """
+    """A cloud without labels. Ground, too, is put back nowhere: such points clump, and leave cells empty."""
     cured = denoise(points, noise, spacing)
     ground, kept = np.zeros(len(points), dtype=bool), chosen_rows(cured.points, ~cured.stray)
     ground[~cured.stray] = segment(kept, config, noise=cured.local[~cured.stray])[0]
@@ -185,7 +168,7 @@ def _measure(points: FloatArray) -> _Sample:
     sample = chosen_rows(points, picked)
     tree = build_tree(sample)
     spacing = estimate_spacing(sample, tree)
-    return _Sample(picked, spacing, estimate_noise(sample, spacing, tree=tree))
+    return picked, spacing, estimate_noise(sample, spacing, tree=tree)
 
 
 def _columns(points: FloatArray) -> BoolArray:

@@ -16,11 +16,13 @@ from gpdf_service.tiles.rows import extent_within
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, count_cells, count_in, without
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
+Room = NDArray[np.int32]
+"""Squared radius of a disc around each cell [cells²], shape (nx, ny)."""
 _FACE_REACH = 2
 """Cells within which the ground decides how high a point is."""
 
 
-def room_behind(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> NDArray[np.int32]:
+def room_behind(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> Room:
     """Squared radius of the largest disc in the unseen around each cell that touches a front [cells²], shape (nx, ny).
 
     It is 0 where none does. How deep a thing is of which only a front was seen nobody knows; but where ground or a top
@@ -44,7 +46,7 @@ def room_reach(surface: HeightMap) -> int:
     return int(np.ceil(MAX_HOLE_RADIUS / surface.cell_width)) + 2
 
 
-def without_hidden(surface: HeightMap, room: NDArray[np.int32], face: BoolArray, told: BoolArray) -> HeightMap:
+def without_hidden(surface: HeightMap, room: Room, face: BoolArray, told: BoolArray) -> HeightMap:
     """Take back inferred ground that a thing of which only a front was seen may stand on, in the cells that are `told`.
 
     Any disc in the unseen that touches the front may belong to it: behind a trunk as deep as it is wide, behind a long
@@ -70,11 +72,7 @@ def find_faces(surface: HeightMap, cell: IntArray, z: FloatArray, headroom: floa
     `headroom`, at any height, may go down. And what is lower than twice that, and as large as half a foot, is a box on
     the floor of which a scan from afar may show some of the top alone.
 
-    Args:
-        surface: The ground.
-        cell: Flat cell of each of the points, shape (m,).
-        z: Their heights [m], shape (m,).
-        headroom: [m].
+    Each of the points, by its flat `cell`, shape (m,), has a height `z` [m].
     """
     known = surface.state != UNKNOWN
     beside = highest_around(np.where(known, surface.height, -np.inf), _FACE_REACH).astype(float)
@@ -84,8 +82,7 @@ def find_faces(surface: HeightMap, cell: IntArray, z: FloatArray, headroom: floa
     face |= (surface.state != OBSERVED) & (top - bottom >= headroom)
     piece, _ = ndimage.label(np.isfinite(low), np.ones((3, 3)))
     large = np.bincount(piece.ravel()) >= _foot_cells(surface)
-    large[0] = False
-    found: BoolArray = face | large[piece]
+    found: BoolArray = face | (large[piece] & (piece > 0))
     return found
 
 
@@ -105,7 +102,7 @@ def hidden_reach(surface: HeightMap) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _discs(centres: NDArray[np.int64], square: NDArray[np.int32], asked: NDArray[np.int32]) -> BoolArray:
+def _discs(centres: IntArray, square: Room, asked: NDArray[np.int32]) -> BoolArray:
     """Cells nearer to any of the `centres`, (k, 2), than its radius, of those `asked`, shape (nx, ny).
 
     Radii are told by their `square` [cells²], shape (nx, ny), and who is asked by `count_cells`: a disc in whose square
@@ -113,8 +110,7 @@ def _discs(centres: NDArray[np.int64], square: NDArray[np.int32], asked: NDArray
     """
     nx, ny = square.shape
     covered = np.zeros((nx, ny), np.bool_)
-    for k in range(len(centres)):
-        x, y = centres[k, 0], centres[k, 1]
+    for x, y in centres:
         reach = np.sqrt(float(square[x, y]))
         far = int(reach)
         left, right, near, behind = max(x - far, 0), min(x + far + 1, nx), max(y - far, 0), min(y + far + 1, ny)

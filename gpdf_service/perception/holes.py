@@ -2,39 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from math import ceil
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.fields.heights import make_sums
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.ground.foot import LEAST_OBSTACLE
-from gpdf_service.perception.bend import FINE, FLAT, bend_at, reach_of
-from gpdf_service.perception.notches import (
-    beside_treads,
-    bites_reach,
-    fill_bites,
-    fill_notches,
-    flights_reach,
-    notches_reach,
-)
+from gpdf_service.ground.footing import flights
+from gpdf_service.perception.notches import FLIGHT, bites_reach, fill_bites, fill_notches, notches_reach
+from gpdf_service.perception.smooth import FINE, FLAT, REACH, RINGS, onto_bends
 from gpdf_service.perception.voids import MAX_HOLE_RADIUS, RING_SHARE, Voids, near_hollow, walled_down
 from gpdf_service.tiles.boxes import Box, highest_around, lowest_around, window
 from gpdf_service.tiles.columns import by_cell
+from gpdf_service.tiles.layers import HALF
 from gpdf_service.tiles.rows import extent_within, under
-from gpdf_service.tiles.surface import (
-    INFERRED,
-    OBSERVED,
-    UNKNOWN,
-    HeightMap,
-    Nearest,
-    nearest_seen,
-)
+from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, Nearest, nearest_seen
 from gpdf_service.tiles.told import Grid
 from gpdf_service.tiles.width import widest_cell
 from gpdf_service.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
@@ -55,6 +42,8 @@ _ROUNDING = float(np.finfo(np.float64).eps)
 Material = tuple[BoolArray, BoolArray, BoolArray]
 """Cells with points that may be a thing's, and those of them where all lie at the ground's height, and where some lie
 over it; see `standing`."""
+Ground = tuple[Float32Array, ByteArray]
+"""Heights [m] and states of cells, shape (nx, ny)."""
 
 
 def fill_holes(
@@ -64,7 +53,7 @@ def fill_holes(
     material: Material,
     voids: Voids,
     config: PerceptionConfig,
-    noise: float = 0.0,
+    noise: float,
 ) -> HeightMap:
     """Infer ground where its surroundings explain it, and mark it.
 
@@ -77,21 +66,15 @@ def fill_holes(
     Nothing is filled where the samples of the ground are so far apart that cells had to be as wide as they may be: what
     is empty then is no chance, and what is around it explains nothing.
 
-    Args:
-        surface: The ground as it was seen.
-        grid: What was asked of its cells.
-        near: `nearest_seen` of the surface.
-        material: See `standing`.
-        voids: See `find_voids`.
-        config: Limits of a flight's treads.
-        noise: Standard deviation of the points before they were cured [m].
+    The `surface` is the ground as it was seen, `near` its `nearest_seen`, `material` of `standing`, `voids` of
+    `find_voids`; the points had that `noise` before they were cured [m].
     """
     if surface.cell_width >= widest_cell(config):
         return surface
     height, state = _fill_gaps(grid, "gaps", surface.height, surface.state, surface, noise)
 
     def flight(_: Box, height: Float32Array, state: ByteArray) -> tuple[BoolArray]:
-        return (beside_treads(replace(surface, height=height, state=state), config),)
+        return (flights(replace(surface, height=height, state=state), config.max_step, FLIGHT),)
 
     def bites(
         _: Box, asked: BoolArray, height: Float32Array, treads: BoolArray, beneath: BoolArray, stands: BoolArray
@@ -105,7 +88,7 @@ def fill_holes(
         return made.height, made.state
 
     (held, at_floor, over), beneath = material, voids.through | voids.pit
-    (treads,) = grid.around("flights", flights_reach(surface), flight, height, state)
+    (treads,) = grid.around("flights", int(FLIGHT / surface.cell_width) + 1, flight, height, state)
     (bitten,) = grid.around("bites", bites_reach(surface), bites, height, treads, beneath, over, asked=True)
     given = height, state, bitten, treads, beneath
     height, state = grid.around("notches", notches_reach(surface, config), notched, *given)
@@ -133,7 +116,7 @@ def standing(beside: Float32Array, lowest: FloatArray, cell: IntArray, z: FloatA
         beside: Height of the nearest seen ground [m], shape (nx, ny).
         lowest: Of the other points in each cell [m], inf where there is none, shape (nx, ny).
         cell: Flat cell of each other point, shape (m,).
-        z: Its height [m], shape (m,).
+        z: Its height [m].
         cell_width: A cell's slope from the ground beside is at its height [m].
     """
     ground = beside.astype(np.float64)
@@ -151,19 +134,14 @@ def fill_faces(surface: HeightMap, lowest: FloatArray, cell: IntArray, z: FloatA
         surface: After `fill_holes`.
         lowest: Of the other points in each cell [m], inf where there is none, shape (nx, ny).
         cell: Flat cell of each other point, shape (m,).
-        z: Its height [m], shape (m,).
+        z: Its height [m].
         max_step: No face is higher [m].
     """
-    known, inner = surface.state != UNKNOWN, np.s_[1:-1, 1:-1]
+    known = surface.state != UNKNOWN
     low = lowest_around(np.where(known, surface.height, np.float32(np.inf)), 1)
     high = highest_around(np.where(known, surface.height, np.float32(-np.inf)), 1)
-    face = ~known & np.isfinite(lowest) & (lowest >= low - LEAST_OBSTACLE)
+    face = ~known & np.isfinite(lowest) & (lowest >= low - LEAST_OBSTACLE) & _between(known, HALF)
     face &= (high - low > LEAST_OBSTACLE) & (high - low <= max_step)
-    both = np.zeros_like(known)
-    for by in ((1, 0), (0, 1), (1, 1), (1, -1)):
-        ahead, behind = (np.roll(known, sign * np.array(by), (0, 1)) for sign in (1, -1))
-        both[inner] |= (ahead & behind)[inner]
-    face &= both
     top = np.where(face, high + LEAST_OBSTACLE, np.inf).astype(np.float64)
     face &= np.isinf(extent_within(cell, z, top, np.full(top.shape, np.inf))[0])  # nothing over it
     height, state = np.where(face, low, surface.height), np.where(face, INFERRED, surface.state)
@@ -172,42 +150,25 @@ def fill_faces(surface: HeightMap, lowest: FloatArray, cell: IntArray, z: FloatA
 
 def _fill_gaps(
     grid: Grid, name: str, height: Float32Array, state: ByteArray, surface: HeightMap, noise: float
-) -> tuple[Float32Array, ByteArray]:
-    """Fill single cells that the scan's spacing left empty, also at a step's edge.
+) -> Ground:
+    """Fill cells that spacing, or noise along a rim, left empty: of the bend around, or as high as the cell beside."""
+    reach = max(RINGS, ceil(REACH * noise / surface.cell_width))
 
-    Each is of the smooth ground around it, or as high as the cell beside it. On a slope the latter makes a step that
-    nobody saw. But where the cure has blurred a step to a slope, it shows it. A notch of a rim, a cell wide, is such a
-    gap, too, where noise moved points along the rim and beyond it.
-    """
-    reach = reach_of(surface.cell_width, noise)
-
-    def fill(_: Box, height: Float32Array, state: ByteArray, seen: Float32Array) -> tuple[Float32Array, ByteArray]:
+    def fill(_: Box, height: Float32Array, state: ByteArray, seen: Float32Array) -> Ground:
         height, state, observed = height.copy(), state.copy(), np.where(np.isnan(seen), UNKNOWN, OBSERVED)
         near = nearest_seen(replace(surface, height=seen, state=observed.astype(np.uint8)))
         empty = state == UNKNOWN
         gaps = _small(empty, near.distance, surface.cell_width)
         if noise > 0.0:
-            gaps |= _small(empty & _between(~empty), near.distance, surface.cell_width)
+            gaps |= _small(empty & _between(~empty, HALF[:2]), near.distance, surface.cell_width)
         small = np.flatnonzero(gaps)
         made = near.height.ravel()[small]
-        run_chunked(lambda a, b: _onto_bends(seen, reach, max(FINE, FLAT * noise), small[a:b], made[a:b]), len(small))
+        run_chunked(lambda a, b: onto_bends(seen, reach, max(FINE, FLAT * noise), small[a:b], made[a:b]), len(small))
         height.ravel()[small], state.ravel()[small] = made, INFERRED
         return height, state
 
     height, state = grid.around(name, GAP_CELLS + 1 + reach, fill, height, state, surface.height)
     return height, state
-
-
-@njit(cache=True, nogil=True)
-def _onto_bends(height: Float32Array, reach: int, flat: float, cells: IntArray, made: Float32Array) -> None:
-    """Put `cells` that are not at the rim onto the quadric through the seen cells around where it is `flat` [m]."""
-    (nx, ny), sums = height.shape, make_sums()
-    for k in range(len(cells)):
-        i, j = cells[k] // ny, cells[k] % ny
-        if 0 < i < nx - 1 and 0 < j < ny - 1:
-            shift, smooth = bend_at(height, i, j, reach, float(made[k]), flat, sums)
-            if smooth:
-                made[k] += shift
 
 
 def _small(holes: BoolArray, distance: FloatArray, cell_width: float) -> BoolArray:
@@ -220,9 +181,8 @@ def _small(holes: BoolArray, distance: FloatArray, cell_width: float) -> BoolArr
 
 def _fill_single(cells: IntArray, height: Float32Array, state: ByteArray) -> Ground:
     """The ground with those of the flat `cells` filled that have ground on all four sides, with the mean of that."""
-    x, y = np.unravel_index(cells, height.shape)
-    inside = (x > 0) & (x < height.shape[0] - 1) & (y > 0) & (y < height.shape[1] - 1)
-    x, y = x[inside], y[inside]
+    cells = np.column_stack(np.unravel_index(cells, height.shape))
+    x, y = cells[((cells > 0) & (cells < np.array(height.shape) - 1)).all(axis=1)].T
     beside = np.array([height[x - 1, y], height[x + 1, y], height[x, y - 1], height[x, y + 1]])
     held = ~np.isnan(beside).any(axis=0)
     if not held.any():
@@ -232,36 +192,27 @@ def _fill_single(cells: IntArray, height: Float32Array, state: ByteArray) -> Gro
     return height, state
 
 
-def _between(known: BoolArray) -> BoolArray:
-    """Cells with a known one on either side along an axis."""
-    made = np.zeros_like(known)
-    made[1:-1] |= known[:-2] & known[2:]
-    made[:, 1:-1] |= known[:, :-2] & known[:, 2:]
+def _between(known: BoolArray, ways: Sequence[tuple[int, int]]) -> BoolArray:
+    """Cells with a known one on either side in one of the `ways`."""
+    made, wide, (nx, ny) = np.zeros_like(known), np.pad(known, 1), known.shape
+    for x, y in ways:
+        made |= wide[1 + x : nx + 1 + x, 1 + y : ny + 1 + y] & wide[1 - x : nx + 1 - x, 1 - y : ny + 1 - y]
     return made
-
-
-Ground = tuple[Float32Array, ByteArray]
-"""Heights [m] and states of cells, shape (nx, ny)."""
 
 
 def _fill_planes(
     grid: Grid, ends: BoolArray, cell_width: float, ground: Ground, holes: BoolArray, known: BoolArray
 ) -> Ground:
-    """The ground with each of the `holes` filled by the plane of the `known` ground around, if that is enough of it.
-
-    That is at least `OPEN_SHARE` of its rim. What has one of the `ends` in it, or in the cells of which it goes on, is
-    no hole. One is as it was if all that it is told by, two cells around it too, is as it was.
-    """
+    """The ground with the `holes` that have none of the `ends` on the plane of the `known` ground around each."""
     name, given = "holes under planes", (holes, known, ends, *ground)
     again = grid.felt(name, RING, *given)
-    parts: list[tuple[Box, tuple[NDArray[Any], ...]]] = []
+    parts: list[tuple[Box, Ground]] = []
     if again.any():
         filled = grid.former[name].made[1] != ground[1] if name in grid.former else np.zeros_like(holes)
         box, label, shut = _pieces_near(holes, ends, again, filled)
-        height, state = ground[0][box].copy(), ground[1][box].copy()
-        start, order = by_cell(label.ravel(), len(shut))
-        _fill(height, state, (label, start, order), np.flatnonzero(shut), np.ascontiguousarray(known[box]), cell_width)
-        parts.append((box, (height, state)))
+        made, labelled = (ground[0][box].copy(), ground[1][box].copy()), (label, *by_cell(label.ravel(), len(shut)))
+        _fill(made, labelled, np.flatnonzero(shut), np.ascontiguousarray(known[box]), cell_width)
+        parts.append((box, made))
     height, state = grid.put(name, given, again, parts)
     return height, state
 
@@ -269,13 +220,10 @@ def _fill_planes(
 def _pieces_near(
     cells: BoolArray, ends: BoolArray, again: BoolArray, changed: BoolArray
 ) -> tuple[Box, IntArray, BoolArray]:
-    """Connected `cells`, all shape (nx, ny), that are asked about `again`, within a box that tells which have no end.
+    """A box, the number of each of the `cells`' connected pieces in it, and which of these are asked and have no end.
 
-    A piece of which something is asked is asked as a whole: its cells get marked. One with no end is in the box wholly,
-    with `RING` cells around; and so is one with an end if it had none before: then its cells are `changed`.
-
-    Returns:
-        The box, the number of each one's piece in it, and which pieces are asked and have no end, (pieces + 1,).
+    A piece that is asked about `again` is marked there as a whole. One that has no end, or had none before, as what of
+    it is `changed` tells, is in the box wholly, with `RING` cells around.
     """
     by, (nx, ny) = 4 * RING, cells.shape
     while True:
@@ -295,44 +243,30 @@ def _pieces_near(
 
 @njit(cache=True, nogil=True)
 def _fill(
-    height: Float32Array,
-    state: ByteArray,
-    labelled: tuple[IntArray, IntArray, IntArray],
-    holes: IntArray,
-    known: BoolArray,
-    cell_width: float,
+    ground: Ground, labelled: tuple[IntArray, IntArray, IntArray], holes: IntArray, known: BoolArray, cell_width: float
 ) -> None:
     """Fill the `holes` by number: the label of each cell, and where the cells with each one begin in their order."""
-    (label, start, order), ny = labelled, height.shape[1]
+    (height, state), (label, start, order), ny = ground, labelled, known.shape[1]
     met = np.zeros(height.shape, np.int64)
     for hole in holes:
         cells = order[start[hole] : start[hole + 1]]
-        places, heights, ground = _ring(cells, hole, label, known, height, met)
-        if len(heights) < 3 or ground < OPEN_SHARE:
+        places, heights, share = _ring(cells, hole, label, known, height, met)
+        if len(heights) < 3 or share < OPEN_SHARE:
             continue
         plane, held = _plane_under(places, heights, cell_width)
-        if not held:
-            continue
-        left, top = cells[0] // ny, cells[0] % ny
-        for c in cells:
+        for c in cells if held else cells[:0]:
             x, y = c // ny, c % ny
-            height[x, y] = (x - left) * plane[0] + (y - top) * plane[1] + plane[2]
+            height[x, y] = (x - cells[0] // ny) * plane[0] + (y - cells[0] % ny) * plane[1] + plane[2]
             state[x, y] = INFERRED
 
 
 @njit(cache=True, nogil=True)
 def _ring(
-    cells: IntArray,
-    hole: int,
-    label: IntArray,
-    known: BoolArray,
-    height: Float32Array,
-    met: IntArray,
+    cells: IntArray, hole: int, label: IntArray, known: BoolArray, height: Float32Array, met: IntArray
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Places (x, y, 1) of the known cells within two of a hole's, from its first one on, and their heights [m].
+    """Places (x, y, 1) and heights [m] of the known cells within `RING` of a hole, and how much of its rim is known.
 
-    Also the share of the cells right beside the hole that are known. What was `met` around it is marked by twice its
-    number, and right beside it by one more.
+    What was `met` around it is marked by twice its number, and right beside it by one more.
     """
     nx, ny = label.shape
     left, top = cells[0] // ny, cells[0] % ny
@@ -357,10 +291,7 @@ def _ring(
 
 @njit(cache=True, nogil=True)
 def _plane_under(places: FloatArray, heights: FloatArray, cell_width: float) -> tuple[FloatArray, bool]:
-    """The plane that most of the ground around a hole lies on or over, and whether there is one.
-
-    What stands on the ground beside the hole, a box or a step up, is no part of it.
-    """
+    """The plane that most of the ground around a hole lies on or over, but for a box or a step up, if there is one."""
     on = heights <= np.median(heights) + cell_width
     plane: FloatArray = np.zeros(3)
     over: FloatArray = heights

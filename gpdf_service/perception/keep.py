@@ -79,24 +79,10 @@ def _edges(surface: HeightMap, limits: GroundLimits) -> tuple[BoolArray, BoolArr
 
 @njit(cache=True, nogil=True)
 def _find(points: FloatArray, start: IntArray, order: IntArray, others: FloatArray, chosen: BoolArray) -> bool:
-    """Mark the rows that the `others` are, which lie in the order of their cells; whether all are there.
-
-    Args:
-        points: Shape (n, 3) [m].
-        start: Where each cell begins in the order.
-        order: The rows of the points by cell.
-        others: Shape (m, 3) [m].
-        chosen: Where they are marked, shape (n,).
-    """
+    """Mark the rows that the `others` are, in the `order` of cells, which `start` there; whether all are there."""
     found = 0
-    for i in range(start[-2]):
-        if found == len(others):
-            break
-        row = order[i]
-        if (
-            points[row, 0] == others[found, 0]
-            and points[row, 1] == others[found, 1]
-            and points[row, 2] == others[found, 2]
-        ):
+    for row in order[: start[-2]]:
+        x, y, z = points[row]
+        if found < len(others) and x == others[found, 0] and y == others[found, 1] and z == others[found, 2]:
             chosen[row], found = True, found + 1
     return found == len(others)

@@ -25,12 +25,7 @@ RIM_SHARE, RIM_NOISE = 0.25, 0.05
 
 
 def find_ledges(
-    surface: HeightMap,
-    ground: FloatArray,
-    other: FloatArray,
-    max_step: float,
-    noise: float = 0.0,
-    box: Box = WHOLE,
+    surface: HeightMap, ground: FloatArray, other: FloatArray, max_step: float, noise: float = 0.0, box: Box = WHOLE
 ) -> Float32Array:
     """`next_above` by the `ground` points of this sheet, for those `other` points that can be a step's face.
 
@@ -39,7 +34,8 @@ def find_ledges(
     The `box` of cells holds all `other` points, and what is within twice `FACE` and `ledge_reach` cells of them.
     """
     part, off = cropped(surface, box), max(surface.cell_width, RESOLVED_STEP * noise)
-    aside, high = face_reach(off), high_ground(part) + off
+    aside, known = min(FACE, NOSING + off), part.state != UNKNOWN
+    high = highest_around(np.where(known, part.height, -np.inf), HIGH) + off
     rests = footholds(part, max_step) + max(LEAST_OBSTACLE, noise)
     cell = cells_within(other, surface, box)
     asked = between(cell, other[:, 2], np.full_like(high, -np.inf), high)
@@ -61,11 +57,7 @@ def find_ledges(
 def _add_rims(
     ledge: Float32Array, asked: BoolArray, ground: FloatArray, other: FloatArray, noise: float, reach: float
 ) -> None:
-    """Give points over a step's edge its `ledge`: within a deviation, or so few beside its face that noise made them.
-
-    Over one deviation are 0.08 of the points of a face's last deviation, under its edge are 1.6 down to two deviations.
-    A point is no witness for itself: where a face has five points, one of them over its edge is no lip.
-    """
+    """Give points over a step's edge its `ledge`: within a deviation, or so few by its face that noise made them."""
     rows = np.flatnonzero(asked & np.isinf(ledge))
     upside_down = np.array([1.0, 1.0, -1.0])
     edges = -next_above(ground * upside_down, other[rows] * upside_down, -other[rows, 2], reach)
@@ -78,15 +70,12 @@ def _add_rims(
     edge = np.full(len(other), np.nan)
     edge[rows] = edges
     face, over = _count_beside(other[asked], edge[asked], noise, reach + noise)
-    is_rim = (face > 0) & (over - 1 <= rim_points(face))
+    is_rim = (face > 0) & (over - 1 <= _rim_points(face))  # a point is no witness for itself
     ledge[np.flatnonzero(asked)[is_rim]] = edge[asked][is_rim]
 
 
 def _count_beside(points: FloatArray, edge: FloatArray, noise: float, radius: float) -> tuple[IntArray, IntArray]:
-    """How many of the points, shape (n, 3), within the radius in plan of each are under its edge, and over it.
-
-    Up to two deviations of the `noise` [m] under it, and more than one over it; 0 of those whose `edge` [m] is NaN.
-    """
+    """How many of the points, (n, 3), beside each are up to two deviations under its edge, or more than one over it."""
     counts = np.zeros((2, len(points)), np.int64)
     cells = sort_into_cells(points * [1.0, 1.0, 0.0], radius)
     above = np.stack((points[:, 2], edge)) / noise
@@ -96,7 +85,7 @@ def _count_beside(points: FloatArray, edge: FloatArray, noise: float, radius: fl
 
 @njit(cache=True, nogil=True)
 def _count_range(cells: Cells, above: FloatArray, radius: float, counts: IntArray, begin: int, end: int) -> None:
-    """As `_count_beside`; how high `above` zero points and edges are in deviations, shape (2, n)."""
+    """As `_count_beside`; how high `above` zero points and edges, NaN of those not asked, are in deviations, (2, n)."""
     (z, edge), runs, at = above, np.empty((9, 2), np.int64), begin_sweep(cells, begin)
     for c in range(begin, end):
         around = runs[: runs_within(cells, c, 1, at, runs)]
@@ -106,19 +95,16 @@ def _count_range(cells: Cells, above: FloatArray, radius: float, counts: IntArra
                 continue
             for run in around:
                 for k in range(run[0], run[1]):
-                    off = (cells.places[k, 0] - cells.places[i, 0]) ** 2 + (
-                        cells.places[k, 1] - cells.places[i, 1]
-                    ) ** 2
-                    over = z[cells.order[k]] - edge[row]
-                    counts[0, row] += off <= radius**2 and -2.0 < over <= 0.0
-                    counts[1, row] += off <= radius**2 and over > 1.0
+                    x, y = cells.places[k, 0] - cells.places[i, 0], cells.places[k, 1] - cells.places[i, 1]
+                    near, over = x**2 + y**2 <= radius**2, z[cells.order[k]] - edge[row]
+                    counts[0, row] += near and -2.0 < over <= 0.0
+                    counts[1, row] += near and over > 1.0
 
 
-def rim_points(face: IntArray) -> FloatArray:
-    """How many points beside one may be over an edge, of a `face` of so many points under it, and be its rim.
+def _rim_points(face: IntArray) -> FloatArray:
+    """How many points over an edge may be the rim of a `face` of so many: a quarter, or what chance makes, if told.
 
-    A quarter; where the face has enough points to tell chance, three standard errors and one over what noise makes:
-    a platform's rim has hundreds of such places. A thinly seen face does not tell a lip from noise.
+    A platform's rim has hundreds of such places. A thinly seen face does not tell a lip from noise.
     """
     by_chance = np.where(face < FEWEST, -np.inf, RIM_NOISE * face)
     most: FloatArray = np.maximum(RIM_SHARE * face, by_chance + 3.0 * np.sqrt(RIM_NOISE * face) + 1.0)
@@ -138,17 +124,6 @@ def ledge_reach(surface: HeightMap) -> int:
 def ledges_felt(touched: BoolArray, was: HeightMap, surface: HeightMap) -> BoolArray:
     """Cells in which the ground may decide otherwise on ledges than before, where it is other in the `touched` ones."""
     return widened(touched, HIGH) | by_treads(touched, ledge_reach(surface), (was, surface), 2)
-
-
-def face_reach(off: float) -> float:
-    """How far in plan a step's face may be from its top, whose points may lie `off` it by a cell or by noise [m]."""
-    return min(FACE, NOSING + off)
-
-
-def high_ground(surface: HeightMap) -> FloatArray:
-    """Height of the highest ground within `HIGH` cells [m], shape (nx, ny), -inf where there is none."""
-    height = np.where(surface.state != UNKNOWN, surface.height, -np.inf)
-    return highest_around(height, HIGH)
 
 
 def step_over(surface: HeightMap, noise: float) -> FloatArray:

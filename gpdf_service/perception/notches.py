@@ -10,9 +10,10 @@ from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.ground.foot import SOLE, STRIDE
-from gpdf_service.ground.footing import ROUGH, flights
+from gpdf_service.ground.footing import ROUGH
 from gpdf_service.kernel_cache import lean
 from gpdf_service.tiles.boxes import window
+from gpdf_service.tiles.layers import HALF
 from gpdf_service.tiles.nearest import nearest_of
 from gpdf_service.tiles.surface import INFERRED, UNKNOWN, HeightMap
 from gpdf_service.types import BoolArray, Float32Array, FloatArray, IntArray
@@ -35,28 +36,18 @@ Told = tuple[BoolArray, BoolArray]
 """Cells in which something stands, and those under which something was seen, each of shape (nx, ny)."""
 
 
-def beside_treads(surface: HeightMap, config: PerceptionConfig) -> BoolArray:
-    """Cells of flights and their landings, shape (nx, ny)."""
-    return flights(surface, config.max_step, FLIGHT)
-
-
-def flights_reach(surface: HeightMap) -> int:
-    """Cells within which the ground decides on a flight."""
-    return int(FLIGHT / surface.cell_width) + 1
-
-
 def fill_bites(surface: HeightMap, asked: BoolArray, beneath: BoolArray, stands: BoolArray) -> Float32Array:
     """Heights of the ground with what shadows bite out of a flight, in those of its cells that are `asked` [m].
 
     Args:
         surface: The ground.
-        asked: Which cells of `beside_treads`, shape (nx, ny).
+        asked: Which cells of flights, shape (nx, ny).
         beneath: Cells under which something was seen, deeper than a step, shape (nx, ny).
         stands: Cells in which something lies over the nearest ground, shape (nx, ny).
     """
     made, box = surface.height.copy(), window(asked, bites_reach(surface))
-    own, stood, below = (np.ascontiguousarray(each[box]) for each in (made, stands, beneath))
-    _fill_bitten(own, asked[box], (stood, below), surface.cell_width)
+    own, told = made[box].copy(), (stands[box].copy(), beneath[box].copy())
+    _fill_bitten(own, asked[box], told, surface.cell_width)
     made[box] = own
     return made
 
@@ -81,7 +72,7 @@ def fill_notches(
     Args:
         surface: The ground.
         bitten: Its heights with `fill_bites` [m], shape (nx, ny).
-        flight: `beside_treads`.
+        flight: Cells of flights and their landings, shape (nx, ny).
         beneath: Cells under which something was seen, deeper than a step, shape (nx, ny).
         config: Limits.
     """
@@ -92,10 +83,9 @@ def fill_notches(
     below, radius = beneath[box], 0.5 * config.widest_gap / width
     away = nearest_of(~np.isnan(own))[0]
     closed, narrow = (nearest_of(away > half)[0] > half for half in (radius, 0.5 * SOLE / width))
-    asked = closed & np.isnan(own) & flight
-    asked &= (
-        ~below | (narrow & _at_risers(own, asked, int(SOLE / width))) | _from_the_side(known & flight, below, width)
-    )
+    asked, sole = closed & np.isnan(own) & flight, int(SOLE / width)
+    at_risers = _between(own, asked, (sole, sole + 1, width), (ROUGH, np.inf))
+    asked &= ~below | (narrow & at_risers) | _from_the_side(known & flight, below, width)
     cells, discs = np.ascontiguousarray(np.argwhere(asked)), (_disc(2.0 * radius), _disc(radius))
     rise = np.where(_as_wide_as_a_sole(~np.isnan(own), width), config.stair_step, 0.0)
     own[tuple(cells.T)] = _treads(own, rise, cells, *discs, (0.5 * width, config.stair_step))
@@ -124,20 +114,6 @@ def _as_wide_as_a_sole(known: BoolArray, cell_width: float) -> BoolArray:
     return wide
 
 
-@njit(cache=True, nogil=True)
-def _at_risers(height: Float32Array, asked: BoolArray, most: int) -> BoolArray:
-    """Which of the `asked` cells, shape (nx, ny), have another tread on one side than on the other, a sole across."""
-    found = np.zeros_like(asked)
-    for x in range(height.shape[0]):
-        for y in range(height.shape[1]):
-            for dx, dy in ((1, 0), (0, 1), (1, 1), (1, -1)):
-                if not asked[x, y]:
-                    break
-                ahead, on, behind, _ = _both_sides(height, x, y, dx, dy, most, most + 1)
-                found[x, y] |= on > 0 and abs(ahead - behind) > ROUGH
-    return found
-
-
 def _from_the_side(treads: BoolArray, below: BoolArray, cell_width: float) -> BoolArray:
     """Cells around which something was seen beneath most of the `treads`, shape (nx, ny): sums that do not round."""
     excess, ones = treads * (below - BENEATH_SHARE), np.ones(2 * int(FLIGHT / cell_width) + 1)
@@ -151,12 +127,10 @@ def _from_the_side(treads: BoolArray, below: BoolArray, cell_width: float) -> Bo
 def _treads(
     height: Float32Array, rise: FloatArray, cells: IntArray, near: IntArray, disc: IntArray, limits: tuple[float, float]
 ) -> Float32Array:
-    """Height of the tread of each of the `cells`, shape (k, 2), NaN where none closes over it.
+    """Height of the tread of each of the `cells`, (k, 2), NaN where none closes over it: the nearest, then the lowest.
 
-    That is the nearest one, the lower of equally near ones, such that every `disc` (d, 2) that holds the cell holds a
-    known cell that is as high, or up to its `rise` [m], (nx, ny), higher. It is one of those `near` (n, 2), nearest
-    first. The `limits` are by how much heights of one tread differ, and those of two beside each other: from none is
-    there a higher step to the ground that touches the cell.
+    Every `disc` that holds the cell holds a known one as high, or up to its `rise` [m] higher, and none touches the
+    cell from which that is a higher step; by these `limits` heights of one tread, and of two beside each other, differ.
     """
     (nx, ny), made, (same, step) = height.shape, np.full(len(cells), np.float32(np.nan), np.float32), limits
     for k in range(len(cells)):
@@ -203,10 +177,9 @@ def _closes(height: Float32Array, x: int, y: int, disc: IntArray, low: float, hi
 
 @njit(cache=True, nogil=True)
 def _fill_bitten(height: Float32Array, asked: BoolArray, told: Told, cell_width: float) -> None:
-    """Fill what a shadow bites out of a flight: uphill and downhill there is ground, and the tread itself beside.
+    """Fill what a shadow bites out of a flight, with the tread beside that was seen furthest; nothing where a thing is.
 
-    Where something stands nothing is filled. Uphill may be any way; ways are half a cell apart where the longest bite
-    ends. Of several treads that which was seen furthest along its way counts.
+    Uphill may be any way; ways are half a cell apart where the longest bite ends.
     """
     most, half, seen = int(NOTCH_SPAN / cell_width) + 1, np.float32(0.5 * cell_width), height.copy()
     turn = np.pi * np.arange(0.0, 2.0, 0.5 / np.ceil(np.pi * most))
@@ -221,9 +194,8 @@ def _fill_bitten(height: Float32Array, asked: BoolArray, told: Told, cell_width:
                 tread, beside = _next_on(seen, (x, y), across, depth)
                 straight = max(1, round(sole), beside)
                 long = _as_high(seen, (x, y), across, (beside, most), half) if beside > 0 else 0
-                if long > max(longest, straight) and _is_bitten(
-                    seen, told, (x, y), across, (beside, straight), cell_width
-                ):
+                row = beside, straight
+                if long > max(longest, straight) and _is_bitten(seen, told, (x, y), across, row, cell_width):
                     height[x, y], longest = tread, long
 
 
@@ -243,11 +215,9 @@ def _is_bitten(
 ) -> bool:
     """Whether a cell is between higher and lower ground, on the tread of a `row` of cells beside it.
 
-    The row begins so many cells across, and is so many long: as wide as a sole, as a stringer is no tread, and as long
-    as what is inferred. At both of its ends the flight is as high as at the cell, uphill and downhill: it goes straight
-    on. Nothing stands between the cell and the row. Beyond the cell something does, or there is ground that is no
-    lower: an open side has no more treads. Nor has a cell under which the room beneath was seen, unless it was under
-    the row, too.
+    The row begins so many cells across, and is so many long: as wide as a sole, and as long as what is inferred. At its
+    ends the flight is as high as at the cell. Nothing stands between the cell and the row. Beyond the cell something
+    does, or ground is no lower: an open side has no treads. Nor has what shows the room beneath where the row does not.
     """
     (stands, below), (beside, straight) = told, row
     most, half = int(NOTCH_SPAN / cell_width) + 1, np.float32(0.5 * cell_width)
@@ -264,11 +234,11 @@ def _is_bitten(
     closed = _count_on(stands, at, away, 1, far if far > 0 else most) > 0
     if not closed and not (far > 0 and beyond >= tread - half):
         return False
+    goes_on = True
     for there in (_further(at, across, beside), _further(at, across, beside + straight)):
-        ahead = _ends_alike(height, there, along, on, one, half)
-        if not (ahead and _ends_alike(height, there, back, off, other, half)):
-            return False
-    return True
+        goes_on = goes_on and _ends_alike(height, there, along, on, one, half)
+        goes_on = goes_on and _ends_alike(height, there, back, off, other, half)
+    return goes_on
 
 
 @lean()
@@ -320,34 +290,27 @@ def between_treads(surface: HeightMap, asked: BoolArray, stair_step: float) -> B
     The open side of a flight has none, or that of the floor below. Two treads beside each other differ by `stair_step`
     at most [m].
     """
-    found, most = np.zeros_like(asked), int(NOTCH_DEPTH / surface.cell_width)
-    cells = np.ascontiguousarray(np.argwhere(asked))
-    _between_treads(surface.height, cells, most, surface.cell_width, stair_step, found)
-    return found
+    most = int(NOTCH_DEPTH / surface.cell_width)
+    return _between(surface.height, asked, (most, 2 * most, surface.cell_width), (-1.0, stair_step))
 
 
 @njit(cache=True, nogil=True)
-def _between_treads(
-    height: Float32Array, asked: IntArray, most: int, cell_width: float, stair_step: float, found: BoolArray
-) -> None:
-    """Mark the `asked` cells, shape (k, 2), between ground within `most` cells each way along a line."""
-    for k in range(len(asked)):
-        x, y = asked[k]
-        for dx, dy in ((1, 0), (0, 1), (1, 1), (1, -1)):
-            ahead, on, behind, back = _both_sides(height, x, y, dx, dy, most, 2 * most)
-            run = (on + back) * cell_width * np.hypot(dx, dy)
-            found[x, y] |= run > 0.0 and abs(ahead - behind) <= max(stair_step, STEEPEST_FLIGHT * run)
+def _between(
+    height: Float32Array, asked: BoolArray, lengths: tuple[int, int, float], rises: tuple[float, float]
+) -> BoolArray:
+    """Which of the `asked` cells, shape (nx, ny), have ground on both sides that differs by more than the first rise.
 
-
-@njit(cache=True, nogil=True)
-def _both_sides(
-    height: Float32Array, x: int, y: int, dx: int, dy: int, most: int, span: int
-) -> tuple[np.float32, int, np.float32, int]:
-    """Heights of the next known cells before and behind (x, y) on a line, and how many cells away each is.
-
-    They are 0 away where one of the two is more than `most` away, or both more than a `span` apart.
+    And by no more than the second, or than a flight rises between. Each is within the first of the `lengths`, both
+    within the second from each other [cells]; the third is a cell's width.
     """
-    at, by, back_by = (x, y), (float(dx), float(dy)), (float(-dx), float(-dy))
-    ahead, on = _next_on(height, at, by, most)
-    behind, back = _next_on(height, at, back_by, min(most, span - on)) if on > 0 else (ahead, 0)
-    return ahead, on if back > 0 else 0, behind, back
+    found, (most, span, cell_width), (least, step) = np.zeros_like(asked), lengths, rises
+    for x in range(height.shape[0]):
+        for y in range(height.shape[1]):
+            for dx, dy in HALF:
+                if not asked[x, y]:
+                    break
+                ahead, on = _next_on(height, (x, y), (float(dx), float(dy)), most)
+                behind, back = _next_on(height, (x, y), (float(-dx), float(-dy)), min(most, span - on))
+                run, off = (on + back) * cell_width * np.hypot(dx, dy), abs(ahead - behind)
+                found[x, y] |= on > 0 and back > 0 and least < off <= max(step, STEEPEST_FLIGHT * run)
+    return found

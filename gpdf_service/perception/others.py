@@ -46,11 +46,7 @@ class Others(NamedTuple):
 
 
 def _near_cells(high: FloatArray, width: float, config: PerceptionConfig) -> BoolArray:
-    """Cells whose points can tell a level anything, (nx, ny), by the `high` ground within `OVERLAP` of each [m].
-
-    No void is further from ground than `MAX_HOLE_RADIUS`, which is less, and no underside further than `widest_gap`
-    from what is over the ground there.
-    """
+    """Cells whose points can tell a level anything, (nx, ny), by the `high` ground within `OVERLAP` of each [m]."""
     return widened(np.isfinite(high), rings_of(config.widest_gap, width))
 
 

@@ -41,12 +41,7 @@ def unseen_asks(
 
 
 def unseen_beneath(
-    grid: Grid,
-    held: Columns,
-    sheet: Float32Array,
-    floor: Float32Array,
-    width: float,
-    config: PerceptionConfig,
+    grid: Grid, held: Columns, sheet: Float32Array, floor: Float32Array, width: float, config: PerceptionConfig
 ) -> BoolArray:
     """Cells in which nobody saw an underside of ground over head, shape (nx, ny): it may be a step thick.
 
@@ -54,13 +49,8 @@ def unseen_beneath(
     underside, or the face of a rim, is a point within that under the lowest tread around; it is known, as ground is, as
     far as `widest_gap`. Over head is what leaves the lowest body room even so.
 
-    Args:
-        grid: What was asked of its cells.
-        held: The points in the cells that `unseen_asks` for.
-        sheet: Height of the ground that is of the sheet itself, and none of these points [m], shape (nx, ny).
-        floor: The ground to stand on in each cell [m], shape (nx, ny), NaN where there is none near.
-        width: Of the cells [m].
-        config: Limits.
+    `held` are the points in the cells that `unseen_asks` for. The `sheet`'s own ground, which holds none of these, and
+    the `floor` to stand on have heights [m], shape (nx, ny), NaN where there is none. Cells have that `width` [m].
     """
     rings, (box, cell, points, ground) = rings_of(config.widest_gap, width), held
     over, z, outer = over_head(floor[box], config), points[:, 2], grown(box, rings, floor.shape)

@@ -43,16 +43,15 @@ TALLEST_STATION = 3.0
 ENDS_BEFORE = 3.0
 """[-] Standard deviations of the noise before its point that a ray is surely free, and not yet in what it hit."""
 
-
 _Walk = tuple[IntArray, IntArray, FloatArray, FloatArray]
 """Of a walk over a grid: the cell, the way to go along each axis, the share of the ray where the next one begins, and
 how much more it is to that behind it; each (2,)."""
-
-
 _Cells = tuple[FloatArray, float, tuple[int, int]]
 """Of cells: their lower corner [m], their width [m] and how many there are along each axis."""
 _Ray = tuple[FloatArray, FloatArray]
 """From where to where a ray goes [m]."""
+_Told = tuple[Float32Array, BoolArray]
+"""How high a ray may pass over each cell [m], and whether it is beside a step down, shape (nx, ny)."""
 
 
 class Rays(NamedTuple):
@@ -91,7 +90,7 @@ def check_origins(origins: ArrayLike, points: FloatArray) -> Rays:
     return Rays(made.reshape(-1, 3), points)
 
 
-def seen_by_rays(filled: HeightMap, rays: Rays, config: PerceptionConfig, noise: float = 0.0) -> HeightMap:
+def seen_by_rays(filled: HeightMap, rays: Rays, config: PerceptionConfig, noise: float) -> HeightMap:
     """Take back inferred ground that no ray shows to be free, and holes that a ray fell into.
 
     What hides behind a thing, or in it, no ray has passed over as low as half the lowest body is high. A scanner's own
@@ -99,17 +98,14 @@ def seen_by_rays(filled: HeightMap, rays: Rays, config: PerceptionConfig, noise:
     one. Single cells with seen ground on all four sides are the scan's spacing. Beside a step up the step itself casts
     a shadow, so there a ray need only be lower than its upper edge. Beside a step down a ray that fell passed the edge.
 
-    Args:
-        filled: After `fill_holes`.
-        rays: Of the scan, in the same frame.
-        config: Limits.
-        noise: Standard deviation of the points [m].
+    The ground is `filled` by `fill_holes`; the points of the `rays` have that `noise` [m].
     """
     asked = filled.state == INFERRED
     if not asked.any():
         return filled
     room, edge = _steps_beside(filled, asked, config)
-    passed, fell = _follow(filled, _grid_of(filled, asked, room), rays, config, noise)
+    before = max(2.0 * filled.cell_width, ENDS_BEFORE * noise)
+    passed, fell = _follow(_grid_of(filled, asked, room), rays, before, config.max_step)
     beside = ndimage.minimum_filter(filled.state == OBSERVED, footprint=SIDES, mode="constant")
     shown = (passed >= ENOUGH) | beside | _blind_spots(filled, asked, rays)
     return without(filled, asked & (~shown | _of_one_hole(filled, asked, fell & ~edge, LOW * config.min_headroom)))
@@ -127,29 +123,23 @@ def _of_one_hole(surface: HeightMap, asked: BoolArray, cells: BoolArray, apart: 
     return made
 
 
-def _follow(
-    surface: HeightMap, grid: _Grid, rays: Rays, config: PerceptionConfig, noise: float
-) -> tuple[NDArray[np.int64], BoolArray]:
+def _follow(grid: _Grid, rays: Rays, before: float, max_step: float) -> tuple[IntArray, BoolArray]:
     """How many rays passed low over each of the cells that are asked about, and into which one fell, both (nx, ny)."""
-    low, high = float(np.nanmin(grid.height)), float(np.nanmax(grid.top))
-    before = max(2.0 * surface.cell_width, ENDS_BEFORE * noise)
-    bounds = low - surface.cell_width, high, before
+    bounds = float(np.nanmin(grid.height)) - grid.width, float(np.nanmax(grid.top)), before
     sampled = max(1, len(rays.ends) // SAMPLE)
     tiles = _tiles_along(rays, grid, bounds, sampled) * sampled
     every = max(1, int(np.ceil(tiles / (STEPS * max(len(rays.ends), 1)))))
-    own = rays, grid, bounds, config.max_step
-    passed, fell = np.zeros(grid.height.shape, np.int64), np.zeros(grid.height.shape, dtype=bool)
-    for count, through in run_parallel(lambda k: _cast(*own, k * every, SHARES * every), range(SHARES)):
-        passed += count
-        fell |= through
-    return passed, fell
+    counts, through = zip(
+        *run_parallel(lambda k: _cast(rays, grid, bounds, max_step, k * every, SHARES * every), range(SHARES)),
+        strict=True,
+    )
+    return np.sum(counts, axis=0, dtype=np.int64), np.any(through, axis=0)
 
 
 class _Grid(NamedTuple):
     """Cells that are asked about: their height, NaN of the others, and how high a ray may pass over them [m].
 
-    Of each tile of them the lowest height and the highest top. The origin is the lower corner [m], the width that of a
-    cell.
+    Of each tile of them the lowest height and the highest top. The origin is the lower corner [m].
     """
 
     height: Float32Array
@@ -161,40 +151,28 @@ class _Grid(NamedTuple):
 
 
 def _grid_of(surface: HeightMap, asked: BoolArray, room: Float32Array) -> _Grid:
-    height, top = (
-        np.where(asked, values, np.nan).astype(np.float32) for values in (surface.height, surface.height + room)
-    )
+    height, top = (np.where(asked, each, np.nan).astype(np.float32) for each in (surface.height, surface.height + room))
     lowest, highest = over_blocks(height, TILE, np.fmin, np.inf), over_blocks(top, TILE, np.fmax, -np.inf)
-    origin = np.asarray(surface.origin, dtype=np.float64)
-    return _Grid(height, top, lowest, highest, origin, surface.cell_width)
+    return _Grid(height, top, lowest, highest, surface.arrays.origin, surface.cell_width)
 
 
 def _steps_beside(surface: HeightMap, asked: BoolArray, config: PerceptionConfig) -> tuple[Float32Array, BoolArray]:
-    """How high a ray may pass over `asked` ground that it shows to be free [m], and what is beside a step down.
-
-    Within what a foot bridges of a step up it may pass as high as the step: what hides there is in its edge's shadow.
-    """
+    """How high a ray may pass over `asked` ground to show it free [m], as high as a step beside; what is by a drop."""
     low = LOW * config.min_headroom
     seen = np.where(surface.state == OBSERVED, surface.height, np.float32(np.nan))
     reach = int(np.ceil(config.widest_gap / surface.cell_width))
     room, edge = np.full(asked.shape, low, np.float32), np.zeros_like(asked)
-    _look_beside(surface.height, seen, np.argwhere(asked), (reach, low, config.max_step), (room, edge))
+    _look_beside((surface.height, seen), np.argwhere(asked), reach, (low, config.max_step), (room, edge))
     return room, edge
 
 
 @njit(cache=True, nogil=True)
 def _look_beside(
-    height: Float32Array,
-    seen: Float32Array,
-    cells: IntArray,
-    limits: tuple[int, float, float],
-    told: tuple[Float32Array, BoolArray],
+    ground: tuple[Float32Array, Float32Array], cells: IntArray, reach: int, steps: tuple[float, float], told: _Told
 ) -> None:
-    """The highest `seen` ground within so many cells that is a step up, and whether some is a step down, of each cell.
-
-    The other limits are the least and the most that a step is high [m].
-    """
-    (nx, ny), (reach, least, most), (room, edge) = height.shape, limits, told
+    """The highest seen ground within `reach` cells that is a step up, and whether some is a step down, of each cell."""
+    (height, seen), (least, most), (room, edge) = ground, steps, told
+    nx, ny = height.shape
     for x, y in cells:
         for i in range(max(x - reach, 0), min(x + reach + 1, nx)):
             for j in range(max(y - reach, 0), min(y + reach + 1, ny)):
@@ -272,17 +250,15 @@ def _go_on(shape: tuple[int, int], walk: _Walk) -> bool:
 def _cast(
     rays: Rays, grid: _Grid, bounds: tuple[float, float, float], max_step: float, begin: int, step: int
 ) -> tuple[ByteArray, BoolArray]:
-    """Follow every `step`-th ray from tile to tile, and from cell to cell in those where it is as low as the ground.
+    """How many of every `step`-th ray were in each cell between its ground and its top, 255 at most; where one fell.
 
-    Returns:
-        How many of them were in each asked cell between its ground and its top, 255 at most; and in which cells one
-        went through the ground, from or to deeper under it than `max_step` [m].
+    It fell from or to deeper under the ground than `max_step` [m]. In tiles that are as low it goes from cell to cell.
     """
     far, (origins, ends) = _far_corner(grid), rays
     tiles = grid.origin, TILE * grid.width, grid.lowest.shape
     seen = passed, fell = np.zeros(grid.height.shape, np.uint8), np.zeros(grid.height.shape, np.bool_)
     walk = np.zeros(2, np.int64), np.zeros(2, np.int64), np.zeros(2), np.zeros(2)
-    inner = np.zeros(2, np.int64), np.zeros(2, np.int64), np.zeros(2), np.zeros(2)
+    inner = walk[0].copy(), walk[1].copy(), walk[2].copy(), walk[3].copy()
     for i in range(begin, len(ends), step):
         a, b = origins[i % len(origins)], ends[i]
         t, last = _part_at_ground(a, b, grid.origin, far, bounds)
@@ -304,12 +280,7 @@ def _cast(
 
 @njit(cache=True, nogil=True)
 def _look_along(
-    ray: _Ray,
-    part: tuple[float, float],
-    grid: _Grid,
-    deep: float,
-    walk: _Walk,
-    seen: tuple[ByteArray, BoolArray],
+    ray: _Ray, part: tuple[float, float], grid: _Grid, deep: float, walk: _Walk, seen: tuple[ByteArray, BoolArray]
 ) -> None:
     """`_cast` of the part of a ray between two shares of it (Amanatides and Woo, 1987)."""
     (a, b), (t, last), (passed, fell) = ray, part, seen
@@ -332,7 +303,7 @@ def _look_along(
 
 def _blind_spots(surface: HeightMap, asked: BoolArray, rays: Rays) -> BoolArray:
     """Cells nearer to a station's nadir than anything that it saw below itself in that direction, shape (nx, ny)."""
-    origins = np.broadcast_to(rays.origins, rays.ends.shape) if len(rays.origins) > 1 else rays.origins
+    origins = rays.origins
     known = np.flatnonzero(np.isfinite(origins).all(axis=1))
     blind = np.zeros(asked.shape, dtype=bool)
     if not len(known):

@@ -20,10 +20,8 @@ from gpdf_service.types import BoolArray
 def _slabs(near: Beside, parts: Parts, config: PerceptionConfig) -> tuple[Strips, BoolArray]:
     """Nodes of slabs that are seen from below, and which parts hang: slabs, with or without a top, (parts + 1,).
 
-    An underside is the next below nodes of parts, by no more than a step, as wide as a body (a stair's tread goes on
-    beneath the next one by its nosing alone), and more of it has something below it than strays are: the floor has not.
-    A part hangs if that is the most of it, or if more of it is seen under a floor, larger than furniture, than over an
-    underside of its own: then nobody saw most of the slab's top, and a floor has its slab under it.
+    An underside is at most a step below nodes of parts, as wide as a body, and over more than strays. A part hangs if
+    it is mostly that, or is seen more under a floor, larger than furniture, than over an underside of its own.
     """
     floors = parts.size * near.layers.cell_width**2 > TABLE_AREA
 

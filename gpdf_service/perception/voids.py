@@ -46,14 +46,8 @@ def find_voids(
 ) -> Voids:
     """Cells under whose ground other points lie, by more than `max_step`: of an unknown one only the highest counts.
 
-    Args:
-        seen: The ground as it was seen.
-        near: Its `nearest_seen`.
-        treads: Cells of a flight, shape (nx, ny).
-        rim: See `find_rims`.
-        cell: Flat cell of each point, shape (n,).
-        z: Its height [m].
-        max_step: [m].
+    Of the ground as it was `seen` `near` is the `nearest_seen`, `rim` what `find_rims` finds; `treads` are cells of a
+    flight, shape (nx, ny). Each of the points, by its flat `cell`, shape (n,), has a height `z` [m].
     """
     distance, beside = near
     low, high = (under(rim - cells * seen.cell_width) for cells in (WALL_CELLS, 1.0))
@@ -83,13 +77,10 @@ def find_rims(surface: HeightMap) -> Float32Array:
 
 def near_hollow(surface: HeightMap, hollow: BoolArray) -> BoolArray:
     """Unknown cells within `MAX_HOLE_RADIUS` of `hollow` ground; less of it than two cells by two is a stray's."""
-    square = hollow[1:, 1:] & hollow[1:, :-1] & hollow[:-1, 1:] & hollow[:-1, :-1]
-    firm = np.zeros_like(hollow)
-    if not square.any():
-        return firm
-    for part in (firm[1:, 1:], firm[1:, :-1], firm[:-1, 1:], firm[:-1, :-1]):
-        part |= square
-    near, reach = np.zeros_like(firm), MAX_HOLE_RADIUS / surface.cell_width
+    near, reach = np.zeros_like(hollow), MAX_HOLE_RADIUS / surface.cell_width
+    if not hollow.any():
+        return near
+    firm = ndimage.binary_opening(hollow, np.ones((2, 2)))
     box = window(firm, int(reach))
     near[box] = (nearest_of(firm[box])[0] <= reach) & (surface.state[box] == UNKNOWN)
     return near

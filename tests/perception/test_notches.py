@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.perception.notches import beside_treads, bites_reach, fill_bites, fill_notches, notches_reach
+from gpdf_service.ground.footing import flights
+from gpdf_service.perception.notches import FLIGHT, bites_reach, fill_bites, fill_notches, notches_reach
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
 
-WIDTH = 0.05
+WIDTH, LIMITS = 0.05, PerceptionConfig()
 RISE = 0.17
 DEPTH = 6
 """Cells of a tread: 30 cm."""
@@ -17,9 +18,9 @@ def filled(height, below=None, stands=None, flight=None):
     state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
     below, stands = (np.zeros(height.shape, dtype=bool) if each is None else each for each in (below, stands))
     surface = HeightMap(np.zeros(2), WIDTH, height.astype(np.float32), state)
-    flight = beside_treads(surface, PerceptionConfig()) if flight is None else flight
+    flight = flights(surface, LIMITS.max_step, FLIGHT) if flight is None else flight
     bitten = fill_bites(surface, flight, below, stands)
-    made = fill_notches(surface, bitten, flight, below, PerceptionConfig())
+    made = fill_notches(surface, bitten, flight, below, LIMITS)
     return made.height, made.state
 
 
@@ -161,8 +162,8 @@ def test_treads_of_which_half_were_seen_from_beneath_are_filled_alike_in_any_box
     below[:, ::2] = True
     state, columns = filled(height, below)[1], slice(70, 130)
     surface = HeightMap(np.zeros(2), WIDTH, height, np.where(np.isnan(height), UNKNOWN, OBSERVED))
-    treads, reach = beside_treads(surface, PerceptionConfig()), bites_reach(surface)
-    reach += notches_reach(surface, PerceptionConfig())
+    treads = flights(surface, LIMITS.max_step, FLIGHT)
+    reach = bites_reach(surface) + notches_reach(surface, LIMITS)
     for first in range(70, 130, 4):
         box = slice(first - reach, first + 4 + reach), slice(columns.start - reach, columns.stop + reach)
         part = filled(height[box], below[box], flight=treads[box])[1][reach:-reach, reach:-reach]
