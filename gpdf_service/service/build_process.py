@@ -16,6 +16,7 @@ from gpdf_service.fields.tree import build_tree
 from gpdf_service.service.builder import MB, SMALLER, BuildSettings, Built, Failed, Note
 from gpdf_service.service.child import go_first
 from gpdf_service.service.logs import set_up
+from gpdf_service.service.memory import TIDY_S
 from gpdf_service.service.workshop import Job, NotKeptError, Workshop
 
 log = logging.getLogger(__name__)
@@ -27,6 +28,8 @@ def serve(pipe: Connection, workshop: Workshop, limit_bytes: int) -> None:
     """Build until the other end is closed, or memory runs out: then a fresh process is better than this one."""
     try:
         while True:
+            while not pipe.poll(TIDY_S):
+                workshop.forget_gone()
             job = msgspec.json.decode(pipe.recv_bytes(), type=Job)
             answer = _do(job, workshop, pipe, limit_bytes)
             pipe.send_bytes(msgspec.json.encode(answer))

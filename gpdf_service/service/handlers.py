@@ -41,7 +41,6 @@ from gpdf_service.scene import Scene
 from gpdf_service.service.answers import Answer, Answers, RefusedError, answer, refuse
 from gpdf_service.service.drawing import OF_BODIES, draw_part
 from gpdf_service.service.in_use import InUse
-from gpdf_service.service.moving import Moving
 from gpdf_service.service.places import Named
 from gpdf_service.service.planning import Planning, agent_of, to_trajectory
 from gpdf_service.service.pool import Ask, Pool
@@ -85,7 +84,7 @@ class Handlers:
     ) -> None:
         self.shelf, self.planner_id, self._pool = shelf, planner_id, pool
         self._on_unload, self._look_for = on_unload, look_for
-        self.moving = Moving()
+        self.moving = shelf.moving
         self._planning = Planning(self._scene, self.moving, planner_id)
         self.in_use = InUse(self.moving.points, on_cut, planner_id)
         self._taken: OrderedDict[tuple[object, ...], bool] = OrderedDict()  # parts, and whether each was the last

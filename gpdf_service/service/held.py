@@ -12,6 +12,7 @@ from typing import Any
 from gpdf_service.scene import Scene, load_scene
 from gpdf_service.service.journal import Task
 from gpdf_service.service.memory import held_bytes
+from gpdf_service.service.moving import Moving
 from gpdf_service.types import Agent
 
 log = logging.getLogger(__name__)
@@ -74,13 +75,14 @@ class Held:
 
     Args:
         memory_bytes: Of all scenes together; the least recently used leave memory first.
+        moving: What moves in them: a scene that leaves memory takes with it what was made of both.
 
     Attributes:
         entries: By name; look at them under `lock`.
     """
 
-    def __init__(self, memory_bytes: float) -> None:
-        self.memory_bytes = memory_bytes
+    def __init__(self, memory_bytes: float, moving: Moving) -> None:
+        self.memory_bytes, self.moving = memory_bytes, moving
         self.entries: dict[str, Entry] = {}
         self.lock = threading.Lock()
 
@@ -116,13 +118,13 @@ class Held:
         with self.lock:
             return self.entries[name]
 
-    def forget_gone(self) -> list[str]:
-        """Forget the scenes whose files are not there any more; their names."""
+    def forget_gone(self) -> None:
+        """Forget the scenes whose files are not there any more; what moves in them stays known."""
         with self.lock:
             gone = [name for name, entry in self.entries.items() if entry.file is None or not entry.file.is_file()]
             for name in gone:
                 del self.entries[name]
-        return gone
+                self.moving.let_go(name)
 
     def trim(self) -> float:
         """Let scenes leave memory until the rest fits, the least recently used ahead; of the last one its bodies.
@@ -132,7 +134,7 @@ class Held:
         """
         with self.lock:
             entries = sorted(self.entries.items(), key=lambda item: item[1].used)
-        sizes = {name: held_bytes(entry.scene) for name, entry in entries}
+        sizes = {name: held_bytes((entry.scene, self.moving.kept(name, entry.scene))) for name, entry in entries}
         total = sum(sizes.values())
         kept = [(name, entry) for name, entry in entries if entry.scene is not None]
         for name, entry in kept[:-1]:
@@ -141,10 +143,14 @@ class Held:
             if entry.file is not None and entry.lock.acquire(blocking=False):
                 entry.scene = None
                 entry.lock.release()
+                self.moving.let_go(name)
                 total -= sizes[name]
                 log.info("scene %s left memory", name, extra={"bytes": sizes[name]})
         if kept and (last := kept[-1][1].scene) is not None:
-            others = total - sizes[kept[-1][0]]
+            name, others = kept[-1][0], total - sizes[kept[-1][0]]
+            if total > self.memory_bytes:
+                self.moving.let_go(name)
+                total = others + held_bytes(last)
             while total > self.memory_bytes and last.forget_oldest_agent():  # who plans in it needs the others soon
                 total = others + held_bytes(last)
             if total > self.memory_bytes:

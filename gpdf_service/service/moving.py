@@ -162,6 +162,15 @@ class Moving:
             self._set(scene, {})
         self.let_go(scene)
 
+    def kept(self, name: str, scene: Scene | None) -> Scene | None:
+        """The merged scene, for the next plan, of this version of a scene; what was made of another one goes."""
+        with self._lock:
+            known = self._merged.get(name)
+            if known is not None and known[0] is not scene:
+                del self._merged[name]
+                known = None
+        return None if known is None else known[2]
+
     def let_go(self, scene: str) -> None:
         """Free the memory of the merged scene; what moves in it stays known."""
         with self._lock:

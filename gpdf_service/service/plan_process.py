@@ -16,13 +16,11 @@ from gpdf_service.service.answers import answer
 from gpdf_service.service.child import go_first
 from gpdf_service.service.held import Held
 from gpdf_service.service.logs import set_up
+from gpdf_service.service.memory import TIDY_S
 from gpdf_service.service.moving import Living, Moving
 from gpdf_service.service.planning import Planning, agent_of
 from gpdf_service.service.pool import READY, WARM, Ask, Settings
 from gpdf_service.warm import Warming
-
-TIDY_S = 1.0
-"""[s] Between looks at what may leave memory."""
 
 
 class Desk:
@@ -34,9 +32,9 @@ class Desk:
 
     def __init__(self, settings: Settings) -> None:
         self._planner, self._bodies = settings.planner, settings.bodies
-        self._scenes = Held(settings.memory_bytes)
         self._looked = 0.0
         self._moving = Moving(lambda: self._looked)  # the service has looked, for all
+        self._scenes = Held(settings.memory_bytes, self._moving)
         self._planning = Planning(
             lambda name, _: self._scenes.scene(self._scenes.held(name)), self._moving, self._planner
         )
@@ -69,8 +67,7 @@ class Desk:
     def tidy(self) -> None:
         """Let go of scenes that are unloaded or replaced (their files are gone), and of what is too much."""
         if time.monotonic() - self._tidied >= TIDY_S:
-            for name in self._scenes.forget_gone():
-                self._moving.let_go(name)  # no more: the service counts on it that we know what moves
+            self._scenes.forget_gone()
             self._scenes.trim()
             self._tidied = time.monotonic()
 

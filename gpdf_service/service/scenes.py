@@ -23,6 +23,7 @@ from gpdf_service.service.held import Entry as Entry
 from gpdf_service.service.held import Held
 from gpdf_service.service.held import describe as describe
 from gpdf_service.service.journal import Journal, Kind, Task
+from gpdf_service.service.moving import Moving
 from gpdf_service.service.places import Places
 from gpdf_service.service.scene_files import SceneFiles, short_of_room, version_of
 from gpdf_service.service.state_folder import StateFolder
@@ -69,6 +70,7 @@ class Shelf:
         build: Has jobs done; without it they are done here, with `config`.
 
     Attributes:
+        moving: What moves in them; it is not kept on disk.
         trouble: Why what is sent cannot be kept now; empty when all is well.
         lost: What was acknowledged and cannot be read again, in words.
 
@@ -93,7 +95,8 @@ class Shelf:
         assert folder is not None
         self._state = StateFolder(folder)
         self.files, self.journal, self.places = SceneFiles(folder), Journal(folder / JOURNAL), Places(folder)
-        self._held = Held(memory_bytes)
+        self.moving = Moving()
+        self._held = Held(memory_bytes, self.moving)
         self._lock, self._entries = self._held.lock, self._held.entries
         self._uploads = Uploads()
         self._builds = self._cloud_points = 0  # points of clouds that wait for their builds
@@ -344,7 +347,7 @@ class Shelf:
         self._put(name, entry, scene, path)
 
     def unload(self, name: str) -> bool:
-        """Forget a scene; False if there was none."""
+        """Forget a scene, not what moves there: it may be for the next of its name; False if there was none."""
         with self._lock:
             entry = self._entries.get(name)
             if entry is None:
@@ -356,6 +359,7 @@ class Shelf:
             self.places.forget(name)  # ahead of the scene: a crash between must not leave them to the next one
             self.files.drop(name)
             del self._entries[name]
+            self.moving.let_go(name)
             return True
 
     def note_body(self, name: str, body: Agent) -> None:

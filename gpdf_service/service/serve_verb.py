@@ -63,10 +63,12 @@ def run(args: argparse.Namespace) -> int:
         log.error("file %r is not there.", gone[0])
         return 1
     from gpdf_service.service.child import NURSERY
+    from gpdf_service.service.memory import share_one_arena
     from gpdf_service.service.record import repair_folder  # these take a second to load
     from gpdf_service.service.server import Server
 
     NURSERY.fork()  # ahead of the first thread
+    share_one_arena()
     if args.until_eof:
         threading.Thread(target=_await_eof, args=(stop,), name="gpdf-eof", daemon=True).start()
     options.log_dir.mkdir(parents=True, exist_ok=True)

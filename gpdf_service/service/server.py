@@ -39,6 +39,7 @@ from gpdf_service.service.builder import Builder
 from gpdf_service.service.fair_queue import FairQueue
 from gpdf_service.service.follower import Follower
 from gpdf_service.service.handlers import Handlers
+from gpdf_service.service.memory import TIDY_S
 from gpdf_service.service.metrics import Metrics
 from gpdf_service.service.network import session_config, set_up_threads
 from gpdf_service.service.options import Options as Options
@@ -54,9 +55,6 @@ log = logging.getLogger(__name__)
 
 PACKAGES = ("numpy", "scipy", "numba", "eclipse-zenoh", "msgspec", "mcap")
 """Whose versions the log keeps beside our own: they can change an answer or its bytes."""
-TRIM_S = 1.0
-"""[s] Between looks at the memory of the scenes: the free spaces of new bodies grow with the plans."""
-
 SENDERS = 64
 """Answers on their way, beside those that are made: who does not read them holds up nobody else."""
 MAX_CLIENT_BYTES = 64
@@ -163,7 +161,7 @@ class Server:
         for thread in (*self._workers, self._keeper, self._warmer):
             thread.start()
         if self.options.role == "planner":
-            self._follower = Follower(self._session, self.shelf, self._serve_plans, self._on_gone)
+            self._follower = Follower(self._session, self.shelf, self._serve_plans, self._on_unload)
             self._follower.start()
         else:
             self._serve({key: key for key in self.handlers.map_keys}, f"{keys.MAP_ALIVE}/{self.planner_id}")
@@ -274,11 +272,6 @@ class Server:
         if self._pool is not None:
             self._pool.forget(name)
         self._announce(SceneChanged(scene=name, version=0))
-
-    def _on_gone(self, name: str) -> None:
-        """The map has that scene no more; what was published for it may be for one that it has next, and stays."""
-        self.handlers.moving.let_go(name)
-        self._on_unload(name)
 
     def _on_cut(self, cut: TrajectoryCut) -> None:
         assert self._session is not None
@@ -430,7 +423,7 @@ class Server:
         )
 
     def _keep_memory(self) -> None:
-        while not self._ended.wait(TRIM_S):
+        while not self._ended.wait(TIDY_S):
             self.shelf.trim()
             self.shelf.try_again()
 

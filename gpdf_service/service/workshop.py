@@ -77,7 +77,7 @@ class Workshop:
         self, config: Config | None = None, memory_bytes: float = float("inf"), bodies: Sequence[str] = ()
     ) -> None:
         self._config, self._memory_bytes, self._bodies = config, memory_bytes, bodies
-        self._kept: OrderedDict[str, Scene] = OrderedDict()
+        self._kept: OrderedDict[Path, tuple[Path, Scene]] = OrderedDict()  # by its file; that until it is published
 
     def build(self, job: Job, progress: Progress) -> Path:
         """Build it, and save it; its file, which is on the disk under a name that nobody looks for yet.
@@ -101,10 +101,22 @@ class Workshop:
         if short := short_of_room(files.folder, job.spare_bytes):
             file.unlink()
             raise NotKeptError(f"it cannot be kept ({short}). {MAKE_ROOM}")
-        self._kept.pop(Path(job.base).name, None)
-        self._kept[files.path_of(job.name, scene.version).name] = scene
-        self._trim()
+        self._kept.pop(Path(job.base), None)
+        self._kept[files.path_of(job.name, scene.version)] = file, scene
+        self.forget_gone()
+        while self._kept and self.held > self._memory_bytes:
+            self._kept.popitem(last=False)
         return file
+
+    @property
+    def held(self) -> float:
+        """What the scenes that are kept take [bytes]."""
+        return sum(held_bytes(scene) for _, scene in self._kept.values())
+
+    def forget_gone(self) -> None:
+        """Let go of the scenes whose files are not there any more: they are unloaded, or replaced."""
+        for file in [file for file, (built, _) in self._kept.items() if not (built.is_file() or file.is_file())]:
+            del self._kept[file]
 
     def _scene(self, job: Job, progress: Progress) -> Scene:
         if job.cloud:
@@ -122,14 +134,8 @@ class Workshop:
             return build_scene(cloud.points, cloud.ground, self._config, **more, progress=progress)
         if not job.base:
             raise SceneFileError("a change", "the scene that it belongs to could not be built", "Load the scene first.")
-        kept = self._kept.get(Path(job.base).name)
-        base = load_scene(job.base) if kept is None else kept
+        base = self._kept[Path(job.base)][1] if Path(job.base) in self._kept else load_scene(job.base)
         return changed(base, [_change(Path(path), radius) for path, radius in job.changes], progress)
-
-    def _trim(self) -> None:
-        """The oldest go; their files stay."""
-        while self._kept and sum(map(held_bytes, self._kept.values())) > self._memory_bytes:
-            self._kept.popitem(last=False)
 
 
 def _change(path: Path, radius: float) -> Change:

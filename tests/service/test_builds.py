@@ -95,6 +95,39 @@ def test_a_build_whose_service_has_gone_ends_without_a_complaint(tmp_path, caplo
     assert caplog.records == []
 
 
+def test_who_builds_forgets_scenes_that_are_unloaded_or_replaced(tmp_path):
+    workshop = Workshop()
+    shelf = Shelf(tmp_path, state_dir=tmp_path / "state", build=workshop.build)
+
+    def held_with(*names):
+        for name in names:
+            shelf.add_part(name, "u", 0, 1, floor(3.0), None)
+            shelf.settle()
+        workshop.forget_gone()
+        return workshop.held
+
+    one = held_with("a")
+    assert 0 < one < 1.1 * held_with("a", "a") < 1.3 * one
+    assert held_with("b", "c") > 2.5 * one
+    for name in "abc":
+        shelf.unload(name)
+    assert held_with() == 0
+    shelf.close()
+
+
+def test_who_builds_forgets_them_while_there_is_nothing_to_build(monkeypatch):
+    monkeypatch.setattr("gpdf_service.service.build_process.TIDY_S", 0.01)
+    (ours, theirs), forgot = Pipe(), threading.Event()
+    monkeypatch.setattr(Workshop, "forget_gone", lambda _: forgot.set())
+    builder = threading.Thread(target=build_process.serve, args=(theirs, Workshop(), 10**9))
+    builder.start()
+    did = forgot.wait(30)
+    ours.close()
+    builder.join(30)
+    assert did
+    assert not builder.is_alive()
+
+
 def send(client, scene, points):
     """An upload that is acknowledged, and no more."""
     request = UploadRequest(scene=scene, upload_id="u", part=0, parts=1, points=Array.pack(points))

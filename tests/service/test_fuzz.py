@@ -32,13 +32,14 @@ def test_malformed_requests_get_typed_answers_and_valid_clients_are_served(tmp_p
 
 
 @pytest.mark.parametrize("kind", KINDS[:-1], ids=lambda kind: kind.__name__)
-def test_each_kind_of_damage_is_told_apart_from_a_request(kind):
+def test_each_kind_of_damage_is_told_apart_from_a_request(kind, tmp_path):
+    handlers = Handlers(Shelf(tmp_path), "")
     rng, refused = np.random.default_rng(0), 0
     for _ in range(200):
         key = str(rng.choice(list(VALID)))
         payload = kind(rng, dict(VALID[key][1]))
         try:
-            decode(payload, Handlers(None, "").by_key[key][0])
+            decode(payload, handlers.by_key[key][0])
         except DecodeError:
             refused += 1
     assert refused > 20  # the rest is read, and refused by its handler

@@ -1,6 +1,7 @@
 """Scenes on disk and in memory: what was acknowledged is there after a crash; memory is bounded."""
 
 import contextlib
+import ctypes
 import signal
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import pytest
 import zenoh
 from gpdf_client import Client, ServiceError
 from gpdf_client.results import ClientError
+from gpdf_schemas import Cylinder, MovingObstacle
 
 import gpdf_service as gpdf
 import gpdf_service.errors
@@ -19,6 +21,8 @@ from gpdf_service.service.memory import held_bytes
 from gpdf_service.service.scene_files import SceneFiles
 from gpdf_service.service.scenes import Shelf
 from gpdf_service.service.server import Options, Server
+from gpdf_service.tiles import HeightMap
+from gpdf_service.tiles.surface import INFERRED
 
 
 def floor(width):
@@ -116,6 +120,63 @@ def test_the_bodies_that_were_used_last_stay_and_so_do_their_ways(files, tmp_pat
 def test_memory_that_two_arrays_share_counts_once():
     array = np.zeros(1000)
     assert held_bytes([array, array[::2], {"a": array.reshape(10, 100)}, 5, "x"]) == 8000
+
+
+def test_what_a_surface_keeps_of_what_it_was_asked_counts():
+    surface = HeightMap(np.zeros(2), 0.1, np.zeros((100, 100), np.float32), np.full((100, 100), INFERRED))
+    assert held_bytes(surface) + surface.inferred.nbytes == held_bytes(surface)
+
+
+def test_what_is_made_of_a_scene_and_what_moves_there_counts_and_leaves_memory_with_it(files, tmp_path):
+    shelf = filled(files, tmp_path)
+    door = MovingObstacle(id="door", cylinder=Cylinder((1.5, 1.5, 0.0), 0.1, 1.8), lifetime_s=3600)
+
+    def plan(name):
+        scene = shelf.moving.merged(name, shelf.scene(shelf.get(name)))
+        assert gpdf.plan(scene, (0.5, 1.5), (2.5, 1.5), "human").status == "OK"
+
+    for name in "012":
+        shelf.moving.publish(name, [door])
+        plan(name)
+    held, door_bytes = (shelf._held.entries, shelf.moving), 3 * shelf.moving.living("0")["door"].points.nbytes
+    assert held_bytes(held) - door_bytes <= shelf.trim()
+    shelf._held.memory_bytes = 1.1 * held_bytes(shelf.get("2").scene)
+    for name in "012":
+        plan(name)
+        shelf.trim()
+        assert held_bytes(held) - door_bytes <= shelf._held.memory_bytes
+    shelf._held.memory_bytes = 1  # of the last one its bodies
+    before, alone = held_bytes(held), shelf.trim()
+    assert held_bytes(held) - door_bytes <= alone < 0.5 * before
+    assert shelf.moving.living("2")  # it is still there
+    shelf.close()
+
+
+ARENAS = """
+import ctypes, sys, threading
+from gpdf_service.service.memory import share_one_arena
+
+if sys.argv[2:] == ["one"]:
+    share_one_arena()
+libc, together = ctypes.CDLL(None), threading.Barrier(8)
+threads = [threading.Thread(target=lambda: (libc.malloc(1000), together.wait())) for _ in range(8)]
+for thread in threads:
+    thread.start()
+libc.fopen.restype = ctypes.c_void_p
+file = ctypes.c_void_p(libc.fopen(sys.argv[1].encode(), b"w"))
+libc.malloc_info(0, file)
+libc.fclose(file)
+"""
+
+
+def test_threads_that_share_one_arena_do_not_keep_one_each(tmp_path):
+    def arenas(*words):
+        subprocess.run([sys.executable, "-c", ARENAS, str(tmp_path / "told"), *words], check=True)
+        return (tmp_path / "told").read_text().count("<heap nr")
+
+    if not hasattr(ctypes.CDLL(None), "malloc_info"):
+        pytest.skip("needs glibc")
+    assert arenas() > arenas("one") == 1
 
 
 def test_what_was_ready_is_ready_again_and_versions_go_on(files, tmp_path):
