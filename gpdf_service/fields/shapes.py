@@ -202,8 +202,8 @@ _STARTS = 4
 def fit_pair(near: FloatArray, count: int, normal: FloatArray, side: IntArray, pair: FloatArray) -> float:
     """Fit two half planes to the first `count` rows of `near`; the squares that are left [m²], inf if there are none.
 
-    The `normal` is that of one plane through all of them; which half plane each is of is written to `side`, (MOST,), the
-    best two to `pair`, (3, 9): see `meet`.
+    The `normal` is that of one plane through all of them; which half plane each is of is written to `side`, (MOST,),
+    the best two to `pair`, (3, 9): see `meet`.
     """
     best = np.inf
     mine = np.zeros((3, 9))

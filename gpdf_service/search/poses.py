@@ -66,8 +66,8 @@ class _Nodes(NamedTuple):
 def free_poses(obstacles: Places, ground: Cells, grid: Grid, offsets: FloatArray, radius: float) -> Bits:
     """Where all discs keep `radius` [m], and what a step of the grid cuts from a turn, and the ground is known.
 
-    The discs lie at `offsets` ahead of the body's centre [m], the same on either side of it; the grid has an even number
-    of headings. A bit a pose, shape (headings, cells in x, words).
+    The discs lie at `offsets` ahead of the body's centre [m], the same on either side of it; the grid has an even
+    number of headings. A bit a pose, shape (headings, cells in x, words).
     """
     made: Bits = _free_poses(obstacles, ground, grid, offsets, radius + grid.width**2 / (4.0 * radius))
     return made
@@ -272,7 +272,7 @@ def mend(field: Field, poses: IntArray, *, free: bool) -> None:
 
 @njit(cache=True, nogil=True)
 def spread(field: Field, moves: IntArray, goals: IntArray, starts: IntArray) -> int:
-    """Send waves out from the `goals`, poses (heading, i, j), shape (k, 3), until one comes to a start, or none goes on.
+    """Send waves out from the `goals`, poses (heading, i, j), shape (k, 3), until one comes to a start or none goes on.
 
     The moves from each heading are a change of (i, j, heading) and its cost, 0 for no move, shape (headings, m, 4).
     Writes the field; which start was reached first, −1 for none.
