@@ -97,7 +97,7 @@ def find_ends(space: FreeSpace, start: FloatArray, goals: list[FloatArray], opti
     if not free and isinstance(reached[0], Refusal):
         return reached[0]
     goals_ = tuple([None if isinstance(goal, Refusal) else goal[0] for goal in reached])
-    words = " ".join([words for _, words in (began, *via, *free) if words])
+    words = " ".join(filter(None, (words for _, words in (began, *via, *free))))
     return Ends(began[0], tuple([end for end, _ in via]), goals_, words)
 
 
