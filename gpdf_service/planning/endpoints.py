@@ -97,7 +97,7 @@ def find_ends(space: FreeSpace, start: FloatArray, goals: list[FloatArray], opti
     if not free and isinstance(reached[0], Refusal):
         return reached[0]
     goals_ = tuple([None if isinstance(goal, Refusal) else goal[0] for goal in reached])
-    words = " ".join(filter(None, (words for _, words in (began, *via, *free))))
+    words = " ".join([words for _, words in (began, *via, *free) if words])
     return Ends(began[0], tuple([end for end, _ in via]), goals_, words)
 
 
@@ -133,7 +133,7 @@ def _unreached(found: Refusal, near: FloatArray | None, place: FloatArray, snap:
 
 def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | Refusal:
     """Check a place, (x, y) or (x, y, z of the ground), and connect it to the graph; via points count as goals."""
-    xy, body, at = place[:2], f"the {space.agent.name}", f"the {name} {place_words(place)}"
+    xy = place[:2]
     heights = dict(_heights_at(space, xy))
     found = _level_at(space, place, name, heights)
     if isinstance(found, Refusal):
@@ -147,16 +147,21 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
     rooms = {one: space.levels[one].room(xy) for one in same}
     level = max(same, key=lambda one: rooms[one][0])  # sheets end where others go on
     room, kind = rooms[level]
-    occupied = _status(name, Status.START_OCCUPIED, Status.GOAL_OCCUPIED)
+    occupied, body = _status(name, Status.START_OCCUPIED, Status.GOAL_OCCUPIED), f"the {space.agent.name}"
     if room < space.reach + FINEST:  # less cannot be proven of a way that ends there
-        words = f"does not fit at {at}: {REASONS[ObstacleKind(kind)]} is"
+        words = f"does not fit at {_words(name, place)}: {REASONS[ObstacleKind(kind)]} is"
         return _too_tight(space, np.array([*xy, heights[level]]), occupied, words, room)
     if not _faces_somewhere(space, level, xy, room):
-        return Refusal(occupied, f"{body} ({measure(space.agent.length)} m long) fits at {at} in no direction.")
+        body = f"{body} ({measure(space.agent.length)} m long)"
+        return Refusal(occupied, f"{body} fits at {_words(name, place)} in no direction.")
     node = connect(space, level, xy, room)
     if node < 0:
-        return Refusal(occupied, f"{body} cannot leave {at} in any direction.")
+        return Refusal(occupied, f"{body} cannot leave {_words(name, place)} in any direction.")
     return Endpoint(xy, level, node, heights[level], room)
+
+
+def _words(name: str, place: FloatArray) -> str:
+    return f"the {name} {place_words(place)}"
 
 
 def _status(name: str, start: Status, goal: Status) -> Status:
@@ -177,23 +182,28 @@ def _heights_at(space: FreeSpace, xy: FloatArray) -> Iterator[tuple[int, float]]
 
 def _level_at(space: FreeSpace, place: FloatArray, name: str, heights: dict[int, float]) -> int | Refusal:
     """The level that a place means, of those with ground of such heights there."""
-    at, outside = f"the {name} {place_words(place)}", _status(name, Status.START_OUTSIDE_MAP, Status.GOAL_OUTSIDE_MAP)
+    outside = _status(name, Status.START_OUTSIDE_MAP, Status.GOAL_OUTSIDE_MAP)
     if not heights:
-        near, hint = _nearest(space, place)
+        at, (near, hint) = _words(name, place), _nearest(space, place)
         if any(_shut_in(space, level, place[None, :2]) for level in range(len(space.levels))):
             occupied = _status(name, Status.START_OCCUPIED, Status.GOAL_OCCUPIED)
             return Refusal(occupied, f"{at} is inside something, or on ground that nobody has seen.{hint}", near)
         words = f"no ground is known at {at}. Choose a place on the mapped ground.{hint}"
         return Refusal(outside, words, near)
-    told = ", ".join(dict.fromkeys(f"{z:.2f}" for z in sorted(heights.values())))
-    if len(place) == 3:
-        level = min(heights, key=lambda one: abs(heights[one] - place[2]))
-        if abs(heights[level] - place[2]) > SAME_GROUND:
-            return Refusal(outside, f"the ground at {at} is at z = {told} m, not {metres(place[2])} m.")
+    if len(place) == 2:
+        if max(heights.values()) - min(heights.values()) <= SAME_GROUND:
+            return next(iter(heights))
+        words = f"there is ground at z = {_told(heights)} m under {_words(name, place)}. Give its z."
+        return Refusal(Status.AMBIGUOUS_LEVEL, words)
+    level = min(heights, key=lambda one: abs(heights[one] - place[2]))
+    if abs(heights[level] - place[2]) <= SAME_GROUND:
         return level
-    if max(heights.values()) - min(heights.values()) > SAME_GROUND:
-        return Refusal(Status.AMBIGUOUS_LEVEL, f"there is ground at z = {told} m under {at}. Give its z.")
-    return next(iter(heights))
+    ground = f"the ground at {_words(name, place)} is at z = {_told(heights)} m"
+    return Refusal(outside, f"{ground}, not {metres(place[2])} m.")
+
+
+def _told(heights: dict[int, float]) -> str:
+    return ", ".join(dict.fromkeys(f"{z:.2f}" for z in sorted(heights.values())))
 
 
 def _nearest(space: FreeSpace, place: FloatArray) -> tuple[FloatArray | None, str]:
