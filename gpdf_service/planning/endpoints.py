@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from math import isnan, sqrt
 from typing import NamedTuple
@@ -134,7 +133,7 @@ def _unreached(found: Refusal, near: FloatArray | None, place: FloatArray, snap:
 def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | Refusal:
     """Check a place, (x, y) or (x, y, z of the ground), and connect it to the graph; via points count as goals."""
     xy = place[:2]
-    heights = dict(_heights_at(space, xy))
+    heights = _heights_at(space, xy)
     found = _level_at(space, place, name, heights)
     if isinstance(found, Refusal):
         return found
@@ -147,7 +146,7 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
     rooms = {one: space.levels[one].room(xy) for one in same}
     level = max(same, key=lambda one: rooms[one][0])  # sheets end where others go on
     room, kind = rooms[level]
-    occupied, body = _status(name, Status.START_OCCUPIED, Status.GOAL_OCCUPIED), f"the {space.agent.name}"
+    occupied, body = _occupied(name), f"the {space.agent.name}"
     if room < space.reach + FINEST:  # less cannot be proven of a way that ends there
         words = f"does not fit at {_words(name, place)}: {REASONS[ObstacleKind(kind)]} is"
         return _too_tight(space, np.array([*xy, heights[level]]), occupied, words, room)
@@ -164,32 +163,34 @@ def _words(name: str, place: FloatArray) -> str:
     return f"the {name} {place_words(place)}"
 
 
-def _status(name: str, start: Status, goal: Status) -> Status:
-    """What refuses a start, or else a goal."""
-    return start if name == "start" else goal
+def _occupied(name: str) -> Status:
+    return Status.START_OCCUPIED if name == "start" else Status.GOAL_OCCUPIED
 
 
-def _heights_at(space: FreeSpace, xy: FloatArray) -> Iterator[tuple[int, float]]:
+def _outside(name: str) -> Status:
+    return Status.START_OUTSIDE_MAP if name == "start" else Status.GOAL_OUTSIDE_MAP
+
+
+def _heights_at(space: FreeSpace, xy: FloatArray) -> dict[int, float]:
     """Levels with ground at a place, and its height there [m]."""
-    x, y = xy.tolist()
+    (x, y), made = xy.tolist(), {}
     for level, surface in enumerate(space.surfaces):
         (u, v), (nx, ny), width = surface.origin.tolist(), surface.state.shape, surface.cell_width
         if -width <= x - u <= (nx + 1) * width and -width <= y - v <= (ny + 1) * width:  # else no kernel is asked
             z = float(height_of(surface.arrays, x, y))
             if not isnan(z):
-                yield level, z
+                made[level] = z
+    return made
 
 
 def _level_at(space: FreeSpace, place: FloatArray, name: str, heights: dict[int, float]) -> int | Refusal:
     """The level that a place means, of those with ground of such heights there."""
-    outside = _status(name, Status.START_OUTSIDE_MAP, Status.GOAL_OUTSIDE_MAP)
     if not heights:
         at, (near, hint) = _words(name, place), _nearest(space, place)
         if any(_shut_in(space, level, place[None, :2]) for level in range(len(space.levels))):
-            occupied = _status(name, Status.START_OCCUPIED, Status.GOAL_OCCUPIED)
-            return Refusal(occupied, f"{at} is inside something, or on ground that nobody has seen.{hint}", near)
+            return Refusal(_occupied(name), f"{at} is inside something, or on ground that nobody has seen.{hint}", near)
         words = f"no ground is known at {at}. Choose a place on the mapped ground.{hint}"
-        return Refusal(outside, words, near)
+        return Refusal(_outside(name), words, near)
     if len(place) == 2:
         if max(heights.values()) - min(heights.values()) <= SAME_GROUND:
             return next(iter(heights))
@@ -199,7 +200,7 @@ def _level_at(space: FreeSpace, place: FloatArray, name: str, heights: dict[int,
     if abs(heights[level] - place[2]) <= SAME_GROUND:
         return level
     ground = f"the ground at {_words(name, place)} is at z = {_told(heights)} m"
-    return Refusal(outside, f"{ground}, not {metres(place[2])} m.")
+    return Refusal(_outside(name), f"{ground}, not {metres(place[2])} m.")
 
 
 def _told(heights: dict[int, float]) -> str:
