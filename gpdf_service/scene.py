@@ -8,6 +8,7 @@ import os
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
@@ -217,9 +218,8 @@ class Scene:
         rays: Rays | None = None,
     ) -> None:
         self._cloud, self._ground = points if isinstance(points, Points) else points_of(points), ground
-        self.levels = levels
-        self.ground_fields, self.config, self.version = ground_fields, config, version
-        self.noise, self.labelled = noise, labelled
+        self.levels, self.ground_fields, self.config = levels, ground_fields, config
+        self.version, self.noise, self.labelled = version, noise, labelled
         self.perceived, self.drift, self.rays = perceived, drift, rays
         self.moving: FloatArray = np.zeros((0, 3))
         self.shades: Shades | None = None
@@ -339,12 +339,10 @@ class Scene:
             stands = self._standing.free_space(body)
             return add_moving(stands, self.levels, self.moving, setup)
         former = self._former.get(body)
-        if former is not None:
-            (space, touched), known = former, self.perceived
-            if known is not None:
-                first = [made.first for made in known.survey.made]
-                return change_free_space(space, *parts, touched, first, setup)
-        return build_free_space(*parts, body, setup)
+        if former is None or self.perceived is None:
+            return build_free_space(*parts, body, setup)
+        (space, touched), first = former, [made.first for made in self.perceived.survey.made]
+        return change_free_space(space, *parts, touched, first, setup)
 
     def _spaces_before(
         self, touched: Touched, grounds: tuple[HeightMap, ...]
@@ -353,13 +351,9 @@ class Scene:
         with self._lock:
             before = {body: (space, touched) for body, space in self._spaces.items()}
             for body, (space, earlier) in list(self._former.items())[: MAX_CACHED_AGENTS - len(before)]:
-                before[body] = (
-                    space,
-                    tuple(
-                        _since(earlier, k, cells, (self.surfaces[k], ground))
-                        for (k, cells), ground in zip(touched, grounds, strict=True)
-                    ),
-                )
+                both = zip(touched, grounds, strict=True)
+                then = [_since(earlier, k, cells, (self.surfaces[k], ground)) for (k, cells), ground in both]
+                before[body] = space, tuple(then)
         return before
 
     def with_obstacles(self, points: ArrayLike) -> Scene:
@@ -421,10 +415,8 @@ class Scene:
         labels = self._labels_of(fresh, ground, keep) if ground is not None or self.labelled else None
         drift = self.drift + (len(gone) + len(fresh)) / count
         if self.perceived is not None and drift <= MAX_DRIFT and self.labelled == (labels is not None):
-            try:
+            with suppress(WholeError):
                 return self._changed(self.perceived, self._cloud.numbers(gone), fresh, labels, drift, progress)
-            except WholeError:
-                pass
         cloud = chosen_rows(self.points, keep, fresh)
         labels = None if labels is None else np.concatenate([self.ground[keep], labels])
         rays, known = self._rays_of(fresh, origins, keep, cloud), self.sampling if drift <= MAX_DRIFT else None
@@ -444,7 +436,6 @@ class Scene:
         progress("change levels", 0.0)
         now = change(perceived, gone, fresh, labels, self.config.perception)
         progress("change ground fields", 0.5)
-
         fields = _fit_grounds(now.levels, self.config, self, now.survey.former)
         progress("ready", 1.0)
         known = self.version + 1, self.noise, self.labelled
@@ -463,12 +454,12 @@ class Scene:
         return self.rays.chosen(keep, cloud, began if len(fresh) else None)
 
     def _labels_of(self, fresh: FloatArray, ground: ArrayLike | None, keep: BoolArray) -> BoolArray:
-        if ground is None:
-            if not len(fresh):
-                return np.zeros(0, dtype=bool)
-            cloud = chosen_rows(self.points, keep, fresh)
-            return cure_and_segment(cloud, None, self.config.perception).ground[len(cloud) - len(fresh) :]
-        return check_labels(ground, len(fresh))
+        if ground is not None:
+            return check_labels(ground, len(fresh))
+        if not len(fresh):
+            return np.zeros(0, dtype=bool)
+        cloud = chosen_rows(self.points, keep, fresh)
+        return cure_and_segment(cloud, None, self.config.perception).ground[len(cloud) - len(fresh) :]
 
     def forget_agents(self) -> None:
         """Drop what was built for single kinds of body; it is built again on use."""
@@ -592,17 +583,9 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
         _restore_ground(level, restore(FloatArray, arrays, _ALPHA.format(i)), config)
         for i, level in enumerate(levels.levels)
     ]
-    scene = Scene(
-        arrays["points"],
-        arrays["ground"],
-        levels,
-        tuple(fields),
-        config,
-        int(meta["version"]),
-        float(meta["noise"]),
-        bool(meta["labelled"]),
-        rays=Rays(arrays["origins"], arrays["points"]) if "origins" in arrays else None,
-    )
+    known = int(meta["version"]), float(meta["noise"]), bool(meta["labelled"])
+    rays = Rays(arrays["origins"], arrays["points"]) if "origins" in arrays else None
+    scene = Scene(arrays["points"], arrays["ground"], levels, tuple(fields), config, *known, rays=rays)
     if "shades/cells" in arrays:
         scene.shades = restore(Shades, arrays, "shades")
     bodies = enumerate(meta.get("agents", ()))

@@ -304,8 +304,8 @@ def _from_half(pair: FloatArray, k: int, inwards: tuple[float, float, float], x:
 def is_second_more_level(pair: FloatArray) -> bool:
     """Whether the second half plane leans less than the first, or as much and more along x."""
     o, n = pair[0, 3:6], pair[1, 3:6]
-    less = abs(n[2]) - abs(o[2])
-    return bool(less > _EQUAL or (less >= -_EQUAL and abs(n[0]) > abs(o[0]) + _EQUAL))
+    more = abs(n[2]) - abs(o[2])
+    return bool(more > _EQUAL or (more >= -_EQUAL and abs(n[0]) > abs(o[0]) + _EQUAL))
 
 
 @njit(cache=True, nogil=True)

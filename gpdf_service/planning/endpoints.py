@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from math import isnan, sqrt
 from typing import NamedTuple
@@ -133,8 +132,8 @@ def _unreached(found: Refusal, near: FloatArray | None, place: FloatArray, snap:
 
 def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | Refusal:
     """Check a place, (x, y) or (x, y, z of the ground), and connect it to the graph; via points count as goals."""
-    xy, body, at = place[:2], f"the {space.agent.name}", f"the {name} {place_words(place)}"
-    heights = dict(_heights_at(space, xy))
+    xy = place[:2]
+    heights = _heights_at(space, xy)
     found = _level_at(space, place, name, heights)
     if isinstance(found, Refusal):
         return found
@@ -147,53 +146,65 @@ def find_endpoint(space: FreeSpace, place: FloatArray, name: str) -> Endpoint | 
     rooms = {one: space.levels[one].room(xy) for one in same}
     level = max(same, key=lambda one: rooms[one][0])  # sheets end where others go on
     room, kind = rooms[level]
-    occupied = _status(name, Status.START_OCCUPIED, Status.GOAL_OCCUPIED)
+    occupied, body = _occupied(name), f"the {space.agent.name}"
     if room < space.reach + FINEST:  # less cannot be proven of a way that ends there
-        words = f"does not fit at {at}: {REASONS[ObstacleKind(kind)]} is"
+        words = f"does not fit at {_words(name, place)}: {REASONS[ObstacleKind(kind)]} is"
         return _too_tight(space, np.array([*xy, heights[level]]), occupied, words, room)
     if not _faces_somewhere(space, level, xy, room):
-        return Refusal(occupied, f"{body} ({measure(space.agent.length)} m long) fits at {at} in no direction.")
+        body = f"{body} ({measure(space.agent.length)} m long)"
+        return Refusal(occupied, f"{body} fits at {_words(name, place)} in no direction.")
     node = connect(space, level, xy, room)
     if node < 0:
-        return Refusal(occupied, f"{body} cannot leave {at} in any direction.")
+        return Refusal(occupied, f"{body} cannot leave {_words(name, place)} in any direction.")
     return Endpoint(xy, level, node, heights[level], room)
 
 
-def _status(name: str, start: Status, goal: Status) -> Status:
-    """What refuses a start, or else a goal."""
-    return start if name == "start" else goal
+def _words(name: str, place: FloatArray) -> str:
+    return f"the {name} {place_words(place)}"
 
 
-def _heights_at(space: FreeSpace, xy: FloatArray) -> Iterator[tuple[int, float]]:
+def _occupied(name: str) -> Status:
+    return Status.START_OCCUPIED if name == "start" else Status.GOAL_OCCUPIED
+
+
+def _outside(name: str) -> Status:
+    return Status.START_OUTSIDE_MAP if name == "start" else Status.GOAL_OUTSIDE_MAP
+
+
+def _heights_at(space: FreeSpace, xy: FloatArray) -> dict[int, float]:
     """Levels with ground at a place, and its height there [m]."""
-    x, y = xy.tolist()
+    (x, y), made = xy.tolist(), {}
     for level, surface in enumerate(space.surfaces):
         (u, v), (nx, ny), width = surface.origin.tolist(), surface.state.shape, surface.cell_width
         if -width <= x - u <= (nx + 1) * width and -width <= y - v <= (ny + 1) * width:  # else no kernel is asked
             z = float(height_of(surface.arrays, x, y))
             if not isnan(z):
-                yield level, z
+                made[level] = z
+    return made
 
 
 def _level_at(space: FreeSpace, place: FloatArray, name: str, heights: dict[int, float]) -> int | Refusal:
     """The level that a place means, of those with ground of such heights there."""
-    at, outside = f"the {name} {place_words(place)}", _status(name, Status.START_OUTSIDE_MAP, Status.GOAL_OUTSIDE_MAP)
     if not heights:
-        near, hint = _nearest(space, place)
+        at, (near, hint) = _words(name, place), _nearest(space, place)
         if any(_shut_in(space, level, place[None, :2]) for level in range(len(space.levels))):
-            occupied = _status(name, Status.START_OCCUPIED, Status.GOAL_OCCUPIED)
-            return Refusal(occupied, f"{at} is inside something, or on ground that nobody has seen.{hint}", near)
+            return Refusal(_occupied(name), f"{at} is inside something, or on ground that nobody has seen.{hint}", near)
         words = f"no ground is known at {at}. Choose a place on the mapped ground.{hint}"
-        return Refusal(outside, words, near)
-    told = ", ".join(dict.fromkeys(f"{z:.2f}" for z in sorted(heights.values())))
-    if len(place) == 3:
-        level = min(heights, key=lambda one: abs(heights[one] - place[2]))
-        if abs(heights[level] - place[2]) > SAME_GROUND:
-            return Refusal(outside, f"the ground at {at} is at z = {told} m, not {metres(place[2])} m.")
+        return Refusal(_outside(name), words, near)
+    if len(place) == 2:
+        if max(heights.values()) - min(heights.values()) <= SAME_GROUND:
+            return next(iter(heights))
+        words = f"there is ground at z = {_told(heights)} m under {_words(name, place)}. Give its z."
+        return Refusal(Status.AMBIGUOUS_LEVEL, words)
+    level = min(heights, key=lambda one: abs(heights[one] - place[2]))
+    if abs(heights[level] - place[2]) <= SAME_GROUND:
         return level
-    if max(heights.values()) - min(heights.values()) > SAME_GROUND:
-        return Refusal(Status.AMBIGUOUS_LEVEL, f"there is ground at z = {told} m under {at}. Give its z.")
-    return next(iter(heights))
+    ground = f"the ground at {_words(name, place)} is at z = {_told(heights)} m"
+    return Refusal(_outside(name), f"{ground}, not {metres(place[2])} m.")
+
+
+def _told(heights: dict[int, float]) -> str:
+    return ", ".join(dict.fromkeys(f"{z:.2f}" for z in sorted(heights.values())))
 
 
 def _nearest(space: FreeSpace, place: FloatArray) -> tuple[FloatArray | None, str]:

@@ -99,8 +99,7 @@ class _Grid:
     @cached_property
     def known(self) -> BoolArray:
         """Where ground is known, shape (L, nx, ny)."""
-        made: BoolArray = ~np.isnan(self.height)
-        return made
+        return ~np.isnan(self.height)
 
     @cached_property
     def guessed(self) -> BoolArray:
@@ -124,15 +123,11 @@ class _Grid:
 
 @dataclass(frozen=True, slots=True)
 class NoPath:
-    """Why there is no path.
+    """Why there is no path, in words, and what to try; where the way first meets what cuts it, (3,) [m].
 
-    Attributes:
-        message: In words, with what to try.
-        cuts: What cuts start from goal: "width", "height", "step", "slope", "unknown" or "solid", the nearest first.
-        at: Where the way first meets it (x, y, z of the ground) [m], shape (3,).
-        largest_radius: Largest body that would pass, all else as it is [m]; 0 if none would.
-        short: By how much the body is beyond each cut: width, height and step [m], slope [rad]; 0 where that says
-            nothing.
+    The `cuts` are "width", "height", "step", "slope", "unknown" or "solid", the nearest first; its `short` says by
+    how much the body is beyond it: width, height and step [m], slope [rad], 0 where that says nothing. The largest body
+    that would pass, all else as it is, has a `largest_radius` [m], 0 if none would.
     """
 
     message: str
@@ -213,17 +208,12 @@ def _tell(space: FreeSpace, start: Endpoint, found: list[_Found], largest: float
     if not found:
         words = f"the {name} cannot get there: the ground of the start and that of the goal meet nowhere on the map."
         return NoPath(f"{words} Map what lies between them.", (), np.append(start.xy, start.floor), 0.0)
-    hint = (
-        f"The largest body that passes has a radius of {measure(largest)} m." if largest else "No narrower body passes."
-    )
+    hint = f"The largest body that passes has a radius of {measure(largest)} m."
+    hint = hint if largest else "No narrower body passes."
     joint = "; and " if together else "; another way: "
-    return NoPath(
-        f"the {name} cannot get there: {joint.join(words for _, _, words, _ in found)}. {hint}",
-        tuple(kind for kind, _, _, _ in found),
-        found[0][1],
-        largest,
-        {kind: short for kind, _, _, short in found},
-    )
+    words = f"the {name} cannot get there: {joint.join(words for _, _, words, _ in found)}. {hint}"
+    short = {kind: much for kind, _, _, much in found}
+    return NoPath(words, tuple(short), found[0][1], largest, short)
 
 
 def _lay_grid(space: FreeSpace, start: Endpoint, goal: Endpoint, hidden: float = 0.0) -> _Grid:
@@ -357,9 +347,8 @@ def _allow(wide: BoolArray, known: BoolArray, ends: tuple[IntArray, IntArray]) -
     """Cells where a centre may be; those beside the ends, which are valid to the millimetre, always."""
     allowed = wide & known
     for level, i, j in ends:
-        allowed[level, max(i - 2, 0) : i + 3, max(j - 2, 0) : j + 3] |= known[
-            level, max(i - 2, 0) : i + 3, max(j - 2, 0) : j + 3
-        ]
+        beside = level, slice(max(i - 2, 0), i + 3), slice(max(j - 2, 0), j + 3)
+        allowed[beside] |= known[beside]
     return allowed
 
 
@@ -367,8 +356,7 @@ def _way(
     grid: _Grid, ends: tuple[IntArray, IntArray], distance: FloatArray, radius: float, known: BoolArray
 ) -> IntArray:
     """Shortest way that crosses as little as it can of what stops the body, in the middle where it is narrow."""
-    shut = ~(grid.nearest >= radius)
-    weight = 1.0 + (radius / np.maximum(distance, grid.width)) ** 2 + DETOUR * shut
+    weight = 1.0 + (radius / np.maximum(distance, grid.width)) ** 2 + DETOUR * ~(grid.nearest >= radius)
     path: IntArray = _cheapest(_allow(distance >= radius, known, ends), grid.height, weight, *ends)
     return path
 

@@ -125,93 +125,42 @@ def patch_core(core: Core, graph: Graph, gone: IntArray, added: FloatArray, widt
     links = was._replace(net=graph.net, added=added, narrow=np.append(was.narrow, width < NARROW))
     asked = np.zeros(len(links.narrow), dtype=bool)
     _ask_near(links, graph.patch.node, asked)
-    return _decide(graph, links, made, np.flatnonzero(asked), core)
+    return _decide(graph, links, made, np.flatnonzero(asked))
 
 
-def _decide(graph: Graph, links: Links, made: Decided, asked: IntArray, stand: Core | None = None) -> Core:
-    """Decide on the nodes that are `asked`, ascending, and write what is `made` of them.
-
-    Edges that are as in the core of what stands, if the graph has a patch, are taken from that.
-    """
+def _decide(graph: Graph, links: Links, made: Decided, asked: IntArray) -> Core:
+    """Decide on the nodes that are `asked`, ascending, and write what is `made` of them."""
     count = len(links.clearance)
     place = np.append(asked[asked < count], links.added[asked[asked >= count] - count, 1])
     _thin(links, asked[np.lexsort((place, links.room[asked]))], made)
     node: IntArray = np.flatnonzero(made.stays)
-    was = _NO_ROWS
-    if stand is not None:
-        kept, changed = stand.graph, np.flatnonzero(made.stays[:count] != stand.decided.stays)
-        was = stand.node, changed, kept.first, (stand.edge, below(kept.other), below(kept.via), below(kept.cost))
-    measures = [(below(rows), above(rows)) for rows in (graph.via, graph.cost)]
-    first, (edge, far, via, cost) = _left(links, made.stays, node, was, *measures)
+    first, edge, far = _left(links.net, made.stays, node)
+    via, cost = graph.via[edge], graph.cost[edge]
     left = Graph(graph.position[node], graph.level[node], first, far, via, cost, graph.component[node])
     return Core(node, edge, left, links, made)
 
 
 _Both = tuple[FloatArray, FloatArray]
 """Of edges that stand, and of those of a patch."""
-_Edges = tuple[IntArray, IntArray, FloatArray, FloatArray]
-"""Of edges between nodes that stay: their numbers, far ends, crossings and costs."""
-_Rows = tuple[IntArray, IntArray, IntArray, _Edges]
-"""What stayed before a patch, ascending, what stays since or does no more, the first edge of each of these, and all."""
-_NONE = np.zeros(0, np.int64)
-_NO_ROWS: _Rows = _NONE, _NONE, _NONE, (_NONE, _NONE, np.zeros((0, 2)), np.zeros(0))
 
 
 @njit(cache=True, nogil=True)
-def _left(
-    links: Links, stays: BoolArray, node: IntArray, was: _Rows, via: _Both, cost: _Both
-) -> tuple[IntArray, _Edges]:
-    """Where the edges of each node that stays begin, and those between such nodes."""
-    number, standing, count = np.empty(len(stays), np.int32), len(links.net.other), 0
-    (kept, changed, begin_was, (edge_was, far_was, via_was, cost_was)) = was
-    same, row = _rows_that_stand(links, kept, changed), np.full(len(node), -1)
-    now, r = np.full(len(kept), -1), 0
+def _left(net: Net, stays: BoolArray, node: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Where the edges of each node that stays begin, those between such nodes, and their far ends."""
+    number, count = np.empty(len(stays), np.int32), 0
     for k in range(len(node)):
         number[node[k]] = k
-        while r < len(kept) and kept[r] < node[k]:
-            r += 1
-        if r < len(kept) and kept[r] == node[k]:
-            now[r], row[k] = k, r if same[r] else -1
-        begin, end = (begin_was[r], begin_was[r + 1]) if row[k] >= 0 else edges_of(links.net, node[k])
+        begin, end = edges_of(net, node[k])
         count += end - begin
     edge, first, far = np.empty(count, np.int64), np.zeros(len(node) + 1, np.int64), np.empty(count, np.int64)
-    crossing, costs, count = np.empty((count, 2)), np.empty(count), 0
+    count = 0
     for k in range(len(node)):
-        if row[k] >= 0:
-            for e in range(begin_was[row[k]], begin_was[row[k] + 1]):
-                edge[count], far[count], costs[count] = edge_was[e], now[far_was[e]], cost_was[e]
-                crossing[count, 0], crossing[count, 1] = via_was[e, 0], via_was[e, 1]
-                count += 1
-        else:
-            for e in range(*edges_of(links.net, node[k])):
-                near = far_end(links.net, e)
-                if stays[near]:
-                    edge[count], far[count], i = e, number[near], e if e < standing else e - standing
-                    at, costs[count] = (via[0][i], cost[0][i]) if e < standing else (via[1][i], cost[1][i])
-                    crossing[count, 0], crossing[count, 1] = at[0], at[1]
-                    count += 1
+        for e in range(*edges_of(net, node[k])):
+            near = far_end(net, e)
+            if stays[near]:
+                edge[count], far[count], count = e, number[near], count + 1
         first[k + 1] = count
-    return first, (edge[:count].copy(), far[:count].copy(), crossing[:count].copy(), costs[:count].copy())
-
-
-@njit(cache=True, nogil=True)
-def _rows_that_stand(links: Links, kept: IntArray, changed: IntArray) -> BoolArray:
-    """Which of the nodes that were kept are in no patch, and beside none that changed."""
-    same = np.ones(len(kept), np.bool_)
-    for node in links.net.patch.node:
-        _tell_other(kept, node, same)
-    for node in changed:
-        for e in range(*edges_of(links.net, node)):
-            _tell_other(kept, far_end(links.net, e), same)
-    return same
-
-
-@lean()
-def _tell_other(kept: IntArray, node: int, same: BoolArray) -> None:
-    """Mark a node as not the same, if it is among those that were kept."""
-    row = np.searchsorted(kept, node)
-    if row < len(kept) and kept[row] == node:
-        same[row] = False
+    return first, edge[:count].copy(), far[:count].copy()
 
 
 @njit(cache=True, nogil=True)

@@ -128,19 +128,13 @@ class FreeSpace:
     @property
     def gone(self) -> IntArray:
         """Nodes of what stands that are none any more, as something moves there, ascending."""
-        split = [(each.quadtree, each.offset) for each in self.levels]
-        rows = [tree.gone + offset for tree, offset in split if isinstance(tree, SplitQuadtree)]
-        return np.concatenate([np.zeros(0, np.int64), *rows])
+        trees = [(own.quadtree, own.offset) for own in self.levels]
+        gone = [tree.gone + offset for tree, offset in trees if isinstance(tree, SplitQuadtree)]
+        return np.concatenate([np.zeros(0, np.int64), *gone])
 
 
 class Setup(NamedTuple):
-    """How free spaces are built of a cloud.
-
-    Attributes:
-        config: Margins.
-        field_config: Of the Obstacle GPDFs.
-        scan: What obstacles need to know of the cloud.
-    """
+    """How free spaces are built: their margins, their Obstacle GPDFs, and what obstacles need to know of the cloud."""
 
     config: SearchConfig
     field_config: FieldConfig
@@ -170,10 +164,14 @@ def build_free_space(levels: Levels, ground_fields: tuple[Gpdf, ...], agent: Age
 def build_level(level: GroundLevel, ground_field: Gpdf, agent: Agent, radius: float, setup: Setup) -> LevelSpace:
     """One level of the free space of a body whose centre keeps a `radius` [m] from obstacles."""
     obstacles = obstacles_of(level, agent, setup.scan)
-    (tree, quadtree, edges), field = run_beside(
-        partial(_leaves_and_edges, obstacles, level.surface, radius),
-        partial(fit_obstacle_field, obstacles, level.surface, agent, setup),
-    )
+
+    def leaves_and_edges() -> tuple[Tree, Quadtree, Edges]:
+        tree = build_tree(obstacles.points[:, :2])
+        quadtree = build_quadtree(level.surface, tree, radius)
+        return tree, quadtree, find_edges(quadtree, Places(tree), radius)
+
+    fit = partial(fit_obstacle_field, obstacles, level.surface, agent, setup)
+    (tree, quadtree, edges), field = run_beside(leaves_and_edges, fit)
     return level_space(level, ground_field, obstacles, tree, field, quadtree, edges)
 
 
@@ -190,12 +188,6 @@ def level_space(
     steps, slopes = level.measured
     ground = level.surface, steps, slopes, count_cells(steps > NOTICED_STEP), ground_field
     return LevelSpace(*ground, obstacles, Places(tree), Nearer(field), quadtree, edges)
-
-
-def _leaves_and_edges(obstacles: Obstacles, surface: HeightMap, radius: float) -> tuple[Tree, Quadtree, Edges]:
-    tree = build_tree(obstacles.points[:, :2])
-    quadtree = build_quadtree(surface, tree, radius)
-    return tree, quadtree, find_edges(quadtree, Places(tree), radius)
 
 
 def reach_of(agent: Agent, config: SearchConfig, noise: float) -> tuple[float, float]:

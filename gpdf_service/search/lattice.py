@@ -70,8 +70,8 @@ def find_poses(
     """Find a way for a body of discs, beside the `way` of one disc from start to goal, shape (n, 2) [m].
 
     Its discs lie at `offsets` ahead of its centre [m], ascending, the same on either side, two at least, and their
-    centres keep the `radius` from all obstacles [m]. At its ends it faces as asked [rad]; None leaves it free. At
-    `most` so many poses are looked at.
+    centres keep the `radius` from all obstacles [m]. At its ends it faces as asked [rad]; None leaves it free. So many
+    poses are looked at, at `most`.
     """
     body = _Body(offsets, radius)
     found = PoseSearch(np.append(way[0], facing[0] or 0.0)[None], reached=False, given_up=True)

@@ -112,7 +112,7 @@ def _connected(space: FreeSpace, split: list[tuple[int, SplitQuadtree]]) -> Free
     )
     level = np.repeat([i for i, _ in split], [len(tree.fresh.size) for _, tree in split])
     edges = np.concatenate([ends for ends, _ in found]), np.concatenate([via for _, via in found])
-    graph = patched(graph, lost, Nodes(position, level), edges, np.concatenate(room), space.radius)
+    graph = patched(graph, lost, (position, level), edges, np.concatenate(room), space.radius)
     within = np.concatenate([tree.within_gone + space.levels[i].offset for i, tree in split])
     place = within + np.arange(1, len(within) + 1) / (len(within) + 1)  # in the order of a quadtree of all
     added = np.column_stack([clearance, place])
@@ -133,11 +133,8 @@ def _portals(space: FreeSpace, lost: Around) -> Iterator[tuple[Edges, FloatArray
         yield whole_doors(space.levels[a], space.levels[b], xy)
 
 
-class Nodes(NamedTuple):
-    """Nodes that are new: places (x, y) [m], shape (k, 2), and level, shape (k,)."""
-
-    position: FloatArray
-    level: IntArray
+Nodes = tuple[FloatArray, IntArray]
+"""Nodes that are new: places (x, y) [m], shape (k, 2), and level, shape (k,)."""
 
 
 class Around(NamedTuple):
@@ -174,31 +171,26 @@ def patched(graph: Graph, lost: Around, fresh: Nodes, edges: Edges, clearance: F
 
     One node of each of the `edges` is new; the `clearance` is that at both ends of these, (e, 2) [m].
     """
-    pairs, via = edges
+    (pairs, via), (places, level) = edges, fresh
     count, size = len(graph.position), len(graph.other)
-    position = Layered(below(graph.position), fresh.position, count)
+    position = Layered(below(graph.position), places, count)
     beside = np.unique(np.concatenate([lost.ring, pairs[pairs < count]]))
     source, kept = _edges_from(graph, beside)
     stays = ~is_among(graph.other[kept], lost.gone)
     source, kept = source[stays], kept[stays]
     price = price_edges(position[pairs], via, clearance, radius)
-    nodes = np.concatenate([beside, count + np.arange(len(fresh.level))])
+    nodes = np.concatenate([beside, count + np.arange(len(level))])
     start = np.concatenate([source, pairs[:, 0], pairs[:, 1]])
     order = np.argsort(start, kind="stable")
-    row = np.zeros(count + len(fresh.level), np.int32)  # pages that nobody reads cost nothing
+    row = np.zeros(count + len(level), np.int32)  # pages that nobody reads cost nothing
     row[nodes] = 1 + np.arange(len(nodes))
     other = np.concatenate([graph.other[kept], pairs[:, 1], pairs[:, 0]])[order]
-    patch = Patch(
-        nodes,
-        row,
-        np.searchsorted(start[order], np.append(nodes, len(row))),
-        other,
-        np.concatenate([graph.cost[kept], price, price])[order],
-        fresh.position,
-    )
+    first = np.searchsorted(start[order], np.append(nodes, len(row)))
+    cost = np.concatenate([graph.cost[kept], price, price])
+    patch = Patch(nodes, row, first, other, cost[order], places)
     return Graph(
         position,
-        Layered(below(graph.level), fresh.level, count),
+        Layered(below(graph.level), level, count),
         graph.first,
         Layered(below(graph.other), other, size),
         Layered(below(graph.via), np.concatenate([graph.via[kept], via, via])[order], size),

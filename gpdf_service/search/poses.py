@@ -272,7 +272,7 @@ def mend(field: Field, poses: IntArray, *, free: bool) -> None:
 
 @njit(cache=True, nogil=True)
 def spread(field: Field, moves: IntArray, goals: IntArray, starts: IntArray) -> int:
-    """Send waves out from the `goals`, poses (heading, i, j), (k, 3), until one comes to a start, or none goes on.
+    """Send waves out from the `goals`, poses (heading, i, j), shape (k, 3), until one comes to a start or none goes on.
 
     The moves from each heading are a change of (i, j, heading) and its cost, 0 for no move, shape (headings, m, 4).
     Writes the field; which start was reached first, −1 for none.

@@ -123,13 +123,7 @@ def boxed(content: tuple[Any, ...]) -> Any:  # noqa: ANN401 - a sequence of what
 
 
 class Here(NamedTuple):
-    """What a level of a free space is to the kernels of a plan.
-
-    Attributes:
-        about: What is beside its ways.
-        ends: `HeightMap.ends` of its ground.
-        inferred: `HeightMap.inferred` of it.
-    """
+    """What a level of a free space is to the kernels of a plan; `ends` and `inferred` are those of its `HeightMap`."""
 
     about: Beside
     ends: Float32Array

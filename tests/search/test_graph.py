@@ -28,7 +28,7 @@ from gpdf_service.search.graph import (
     same_leaves,
 )
 from gpdf_service.search.landmarks import find_landmarks
-from gpdf_service.search.moved import Nodes, around, patched
+from gpdf_service.search.moved import around, patched
 from gpdf_service.search.places import Places
 from gpdf_service.search.quadtree import build_quadtree, change_quadtree
 from gpdf_service.tiles.surface import HeightMap, turned
@@ -196,7 +196,7 @@ def test_with_a_patch_a_way_goes_over_fresh_nodes_and_never_over_those_that_are_
     count, fresh = len(graph.position), 6
     gone = np.sort(rng.choice(count, 5, replace=False))
     stay = np.setdiff1d(np.arange(count), gone)
-    nodes = Nodes(rng.uniform(-2.0, 2.0, (fresh, 2)), rng.integers(0, 3, fresh))
+    nodes = rng.uniform(-2.0, 2.0, (fresh, 2)), rng.integers(0, 3, fresh)
     pairs = {(int(rng.choice(stay)), count + int(k)) for k in rng.integers(0, fresh, 12)}
     pairs |= {(count + k, count + k + 1) for k in range(0, fresh - 1, 2)}
     pairs = np.array(sorted(pairs))
