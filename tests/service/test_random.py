@@ -24,7 +24,7 @@ from gpdf_service.service.planning import agent_of, to_trajectory
 from gpdf_service.synthetic import SCENES
 from gpdf_service.types import AGENTS, resolve_agent
 
-CLIENTS, REQUESTS, SEED = 3, 60, 0
+CLIENTS, REQUESTS, SEED = 3, 50, 0
 PLANS, ODD_ONES = 0.6, 0.2
 """[-] Shares of the requests: for a plan; with something else in one field."""
 DEEPEST = 0.003
