@@ -108,15 +108,16 @@ class _Process:
             self._told.pop(scene, None)
         numbers = tuple(one.number for one in living.values())
         moving = None if self._told.get(ask.scene, ()) == numbers else [_as_seen(*item) for item in living.items()]
-        self._child.pipe.send_bytes(encode(msgspec.structs.replace(ask, moving=moving, looked=looked, gone=gone)))
-        if numbers:
+        if numbers:  # ahead of the telling, during which it may be gone
             self._told[ask.scene] = numbers
         else:
             self._told.pop(ask.scene, None)
+        self._child.pipe.send_bytes(encode(msgspec.structs.replace(ask, moving=moving, looked=looked, gone=gone)))
 
     def forget(self, scene: str) -> None:
-        """Tell it with the next request that a scene is gone, and what moved in it; for any thread."""
-        self._gone.put(scene)
+        """Tell it with the next request that a scene is gone, if it was told what moves there; for any thread."""
+        if self._told.pop(scene, None) is not None:
+            self._gone.put(scene)
 
     def hear(self) -> bytes:
         """The bytes that it answers with.

@@ -398,7 +398,7 @@ class Server:
         if self.recorder.evidence.thrifty:
             problems.append("the log is full of what may not be deleted yet: bodies are recorded as hashes")
         problems += [f"scene {name!r}: {entry['error']}" for name, entry in facts.items() if entry["error"]]
-        state = self.state
+        state, builders = self.state, [] if self._builder is None else self._builder.pids
         if self._follower is not None:
             problems += [f"the map may be stale: {self._follower.trouble}"] if self._follower.trouble else []
             problems += [words for status, words in self._follower.absent.values() if status is Status.UNAVAILABLE]
@@ -412,7 +412,7 @@ class Server:
             ready=state == "active",
             problems=problems,
             metrics={
-                **self.metrics.numbers(self.processes),
+                **self.metrics.numbers([*self.processes, *builders]),
                 "process_restarts": float(0 if self._pool is None else self._pool.restarts),
                 "load": self.load,
                 "workers": float(self.options.workers),

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from types import SimpleNamespace
 
 import msgpack
 import msgspec
@@ -31,6 +32,7 @@ from gpdf_schemas import (
 )
 
 import gpdf_service as gpdf
+import gpdf_service.service.pool as pool_module
 from gpdf_service.service.answers import RefusedError
 from gpdf_service.service.moving import Living
 from gpdf_service.service.plan_process import Desk
@@ -68,6 +70,26 @@ def pool():
     made.start()
     yield made
     made.close()
+
+
+def test_a_process_is_told_of_scenes_that_are_gone_only_where_it_knows_what_moved_there(monkeypatch):
+    sent = []
+    monkeypatch.setattr(pool_module, "Child", lambda *_: SimpleNamespace(pipe=SimpleNamespace(send_bytes=sent.append)))
+    pool, living = Pool(1, SETTINGS), {"a": Living(np.zeros((1, 3)), 9.0, 7)}
+    process = pool._alive["x"] = pool_module._Process(SETTINGS)
+
+    def told(living):
+        process.tell(Ask(keys.PLAN, b"", 0.0, 0.0, "here", "file"), 0.0, living)
+        asked = decode(sent[-1], Ask)
+        return asked.gone, None if asked.moving is None else len(asked.moving)
+
+    assert told(living) == ([], 1)
+    for i in range(100):  # scenes come and go, and nobody plans
+        pool.forget(f"there {i}")
+        pool.forget("here")
+    assert told(living) == (["here"], 1)
+    assert told(living) == ([], None)
+    assert told({}) == ([], 0)
 
 
 def distances(pool, file, living=None, deadline_s=PATIENCE_S):
