@@ -88,7 +88,7 @@ def fill_notches(
     width = surface.cell_width
     box = window(flight, notches_reach(surface, config))  # nothing else is filled, or tells what is
     height, state = surface.height.copy(), surface.state.copy()
-    own, known, flight = np.ascontiguousarray(bitten[box]), surface.state[box] != UNKNOWN, flight[box]
+    own, known, flight = bitten[box].copy(), surface.state[box] != UNKNOWN, flight[box]
     below, radius = beneath[box], 0.5 * config.widest_gap / width
     away = nearest_of(~np.isnan(own))[0]
     closed, narrow = (nearest_of(away > half)[0] > half for half in (radius, 0.5 * SOLE / width))
