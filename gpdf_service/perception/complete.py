@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.ground.foot import LEAST_OBSTACLE
 from gpdf_service.perception.hidden import (
+    Squares,
     faces_reach,
     find_faces,
     hidden_reach,
@@ -89,11 +90,11 @@ def _known_to_be_free(
         face = find_faces(as_map(height, state), *held(box), config.min_headroom)
         return (face & ~stair,)  # a flight's treads were seen to its walls
 
-    def behind(_: Box, height: Float32Array, state: ByteArray, lowest: FloatArray, face: BoolArray) -> tuple[IntArray]:
+    def behind(_: Box, height: Float32Array, state: ByteArray, lowest: FloatArray, face: BoolArray) -> tuple[Squares]:
         return (room_behind(as_map(height, state), lowest, face),)
 
     def shown(
-        _: Box, asked: BoolArray, height: Float32Array, state: ByteArray, room: IntArray, face: BoolArray
+        _: Box, asked: BoolArray, height: Float32Array, state: ByteArray, room: Squares, face: BoolArray
     ) -> tuple[Float32Array, ByteArray]:
         part = without_hidden(as_map(height, state), room, face, asked)
         return part.height, part.state

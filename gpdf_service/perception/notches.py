@@ -55,8 +55,8 @@ def fill_bites(surface: HeightMap, asked: BoolArray, beneath: BoolArray, stands:
         stands: Cells in which something lies over the nearest ground, shape (nx, ny).
     """
     made, box = surface.height.copy(), window(asked, bites_reach(surface))
-    own, stood, below = (np.ascontiguousarray(each[box]) for each in (made, stands, beneath))
-    _fill_bitten(own, asked[box], (stood, below), surface.cell_width)
+    own, told = made[box].copy(), (np.ascontiguousarray(stands[box]), np.ascontiguousarray(beneath[box]))
+    _fill_bitten(own, asked[box], told, surface.cell_width)
     made[box] = own
     return made
 
