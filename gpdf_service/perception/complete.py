@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.ground.foot import LEAST_OBSTACLE
 from gpdf_service.perception.hidden import (
-    Room,
+    Squares,
     faces_reach,
     find_faces,
     hidden_reach,
@@ -77,11 +77,11 @@ def _known_to_be_free(
         # a flight's treads were seen to its walls
         return (find_faces(as_map(height, state), *held(box), headroom) & ~stair,)
 
-    def behind(_: Box, height: Float32Array, state: ByteArray, lowest: FloatArray, face: BoolArray) -> tuple[Room]:
+    def behind(_: Box, height: Float32Array, state: ByteArray, lowest: FloatArray, face: BoolArray) -> tuple[Squares]:
         return (room_behind(as_map(height, state), lowest, face),)
 
     def shown(
-        _: Box, asked: BoolArray, height: Float32Array, state: ByteArray, room: Room, face: BoolArray
+        _: Box, asked: BoolArray, height: Float32Array, state: ByteArray, room: Squares, face: BoolArray
     ) -> tuple[Float32Array, ByteArray]:
         part = without_hidden(as_map(height, state), room, face, asked)
         return part.height, part.state

@@ -16,13 +16,13 @@ from gpdf_service.tiles.rows import extent_within
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, count_cells, count_in, without
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
-Room = NDArray[np.int32]
-"""Squared radius of a disc around each cell [cells²], shape (nx, ny)."""
+Squares = NDArray[np.int32]
+"""Squared distances [cells²]: whole numbers."""
 _FACE_REACH = 2
 """Cells within which the ground decides how high a point is."""
 
 
-def room_behind(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> Room:
+def room_behind(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> Squares:
     """Squared radius of the largest disc in the unseen around each cell that touches a front [cells²], shape (nx, ny).
 
     It is 0 where none does. How deep a thing is of which only a front was seen nobody knows; but where ground or a top
@@ -46,7 +46,7 @@ def room_reach(surface: HeightMap) -> int:
     return int(np.ceil(MAX_HOLE_RADIUS / surface.cell_width)) + 2
 
 
-def without_hidden(surface: HeightMap, room: Room, face: BoolArray, told: BoolArray) -> HeightMap:
+def without_hidden(surface: HeightMap, room: Squares, face: BoolArray, told: BoolArray) -> HeightMap:
     """Take back inferred ground that a thing of which only a front was seen may stand on, in the cells that are `told`.
 
     Any disc in the unseen that touches the front may belong to it: behind a trunk as deep as it is wide, behind a long
@@ -102,7 +102,7 @@ def hidden_reach(surface: HeightMap) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _discs(centres: IntArray, square: Room, asked: NDArray[np.int32]) -> BoolArray:
+def _discs(centres: IntArray, square: Squares, asked: NDArray[np.int32]) -> BoolArray:
     """Cells nearer to any of the `centres`, (k, 2), than its radius, of those `asked`, shape (nx, ny).
 
     Radii are told by their `square` [cells²], shape (nx, ny), and who is asked by `count_cells`: a disc in whose square

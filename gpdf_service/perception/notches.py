@@ -46,7 +46,7 @@ def fill_bites(surface: HeightMap, asked: BoolArray, beneath: BoolArray, stands:
         stands: Cells in which something lies over the nearest ground, shape (nx, ny).
     """
     made, box = surface.height.copy(), window(asked, bites_reach(surface))
-    own, told = made[box].copy(), (stands[box].copy(), beneath[box].copy())
+    own, told = made[box].copy(), (np.ascontiguousarray(stands[box]), np.ascontiguousarray(beneath[box]))
     _fill_bitten(own, asked[box], told, surface.cell_width)
     made[box] = own
     return made
@@ -79,7 +79,7 @@ def fill_notches(
     width = surface.cell_width
     box = window(flight, notches_reach(surface, config))  # nothing else is filled, or tells what is
     height, state = surface.height.copy(), surface.state.copy()
-    own, known, flight = np.ascontiguousarray(bitten[box]), surface.state[box] != UNKNOWN, flight[box]
+    own, known, flight = bitten[box].copy(), surface.state[box] != UNKNOWN, flight[box]
     below, radius = beneath[box], 0.5 * config.widest_gap / width
     away = nearest_of(~np.isnan(own))[0]
     closed, narrow = (nearest_of(away > half)[0] > half for half in (radius, 0.5 * SOLE / width))

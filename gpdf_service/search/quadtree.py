@@ -58,7 +58,8 @@ class Quadtree:
     @cached_property
     def center(self) -> FloatArray:
         """Centres of the leaves [m], shape (k, 2)."""
-        made: FloatArray = self.origin + (self.corner + 0.5 * self.size[:, None]) * self.width
+        made = np.empty((len(self.size), 2))
+        _write_centers(self.corner, self.size, self.origin, self.width, made)
         return made
 
     @cached_property
@@ -106,6 +107,13 @@ class Quadtree:
         """Which leaves are among the `leaves`, shape (k,), or share a side or a corner with one of them."""
         found: BoolArray = _touching(self.code, self.side, self.corner, self.size, leaves)
         return found
+
+
+@njit(cache=True, nogil=True)
+def _write_centers(corner: IntArray, size: IntArray, origin: FloatArray, width: float, made: FloatArray) -> None:
+    for i in range(len(size)):
+        for k in range(2):
+            made[i, k] = origin[k] + (corner[i, k] + 0.5 * size[i]) * width
 
 
 @njit(cache=True, nogil=True)

@@ -243,9 +243,14 @@ def runs_of(changed: BoolArray, start: IntArray, fresh: IntArray) -> Runs:
     return [(other, slice(int(place[a]), int(place[b]))) for other, place, a, b in found]
 
 
+@njit(cache=True, nogil=True)
 def starts_spliced(changed: BoolArray, start: IntArray, fresh: IntArray) -> IntArray:
     """Where each cell begins, shape (cells + 1,), when what is in the `changed` ones is taken from others."""
-    return np.append(0, np.cumsum(np.where(changed, np.diff(fresh), np.diff(start))))
+    made = np.zeros(len(changed) + 1, np.int64)
+    for i in range(len(changed)):
+        count = fresh[i + 1] - fresh[i] if changed[i] else start[i + 1] - start[i]
+        made[i + 1] = made[i] + count
+    return made
 
 
 def values_spliced(runs: Runs, old: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:
