@@ -1,4 +1,4 @@
-"""A level's ground with what its surroundings explain: holes filled, and hidden again what things may stand on."""
+"""A level's ground with what its surroundings explain, without that on which the unseen back of a thing may stand."""
 
 from __future__ import annotations
 
@@ -7,22 +7,36 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.ground.foot import LEAST_OBSTACLE
-from gpdf_service.perception.hidden import faces_reach, find_faces, hidden_reach, without_hidden
-from gpdf_service.perception.holes import fill_faces, fill_holes, standing
+from gpdf_service.ground.foot import HALF_FOOT, LEAST_OBSTACLE
+from gpdf_service.perception.holes import CEILING, fill_faces, fill_holes, standing
 from gpdf_service.perception.notches import NOTCH_DEPTH, between_treads
 from gpdf_service.perception.others import Held
 from gpdf_service.perception.rays import seen_by_rays
 from gpdf_service.perception.site import Site
-from gpdf_service.perception.voids import Voids
-from gpdf_service.tiles.boxes import Box, highest_around, lowest_around
+from gpdf_service.perception.voids import MAX_HOLE_RADIUS, Voids
+from gpdf_service.tiles.boxes import SIDES, Box, highest_around, lowest_around
+from gpdf_service.tiles.nearest import nearest_of
 from gpdf_service.tiles.rows import extent_within
-from gpdf_service.tiles.surface import UNKNOWN, HeightMap, Nearest
+from gpdf_service.tiles.surface import (
+    INFERRED,
+    OBSERVED,
+    UNKNOWN,
+    HeightMap,
+    Nearest,
+    count_cells,
+    count_in,
+    without,
+)
 from gpdf_service.tiles.told import Grid
 from gpdf_service.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
+
+_FACE_REACH = 2
+"""Cells within which the ground decides how high a point is."""
 
 
 def complete(
@@ -104,3 +118,77 @@ def guard_edges(
     top = beside.astype(np.float64)
     guards = np.isfinite(extent_within(cell, z, top + LEAST_OBSTACLE, top + config.min_headroom)[0])
     return stair, guards | between_treads(surface, shut & stair & ~known, config.stair_step)
+
+
+def without_hidden(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> HeightMap:
+    """Take back inferred ground that a thing of which only a front was seen may stand on.
+
+    How deep the thing is nobody knows; but where ground or a top was seen it is not. So any disc in the unseen that
+    touches the front may belong to it: behind a trunk as deep as it is wide, behind a long wall up to half-way to the
+    seen ground and as far beyond. Discs of one cell are the scan's spacing, and so is a cell of which all four
+    neighbours were seen, as ground or as the front.
+
+    The `lowest` of the other points in each cell is told [m], inf where there is none, shape (nx, ny), and in which
+    cells material goes up from the ground, `find_faces`.
+    """
+    beside = highest_around(np.where(surface.state != UNKNOWN, surface.height, -np.inf), 1)
+    top = np.isfinite(lowest) & (lowest < beside + CEILING)
+    clear = ((surface.state == OBSERVED) | top) & ~face
+    room, front = nearest_of(clear)[0], nearest_of(face)[0]
+    shown = (room > 1.0) & (room <= MAX_HOLE_RADIUS / surface.cell_width) & (front <= room + 1.0)
+    wide = ndimage.binary_dilation((surface.state != OBSERVED) & ~face, SIDES)
+    asked = (surface.state == INFERRED) & wide
+    return without(surface, _discs(np.ascontiguousarray(np.argwhere(shown)), room, count_cells(asked)) & asked)
+
+
+def find_faces(surface: HeightMap, cell: IntArray, z: FloatArray, headroom: float) -> BoolArray:
+    """Cells in which other points go up, without a gap, from the ground to twice the `headroom` [m], shape (nx, ny).
+
+    A step's face ends at the ground above it; what has a gap is a table's edge; two points at much the same height go
+    nowhere. But where nobody has seen the ground, nobody has seen the gap either: what goes up there by as much as the
+    `headroom`, at any height, may go down. And what is lower than twice that, and as large as half a foot, is a box on
+    the floor of which a scan from afar may show some of the top alone.
+
+    Each of the points, by its flat `cell`, shape (m,), has a height `z` [m].
+    """
+    known = surface.state != UNKNOWN
+    beside = highest_around(np.where(known, surface.height, -np.inf), _FACE_REACH).astype(float)
+    low, high = extent_within(cell, z, beside, beside + 2.0 * headroom)
+    face = (low <= beside + headroom) & (high > beside + headroom) & (high - low >= headroom)
+    bottom, top = extent_within(cell, z, beside, beside + CEILING)
+    face |= (surface.state != OBSERVED) & (top - bottom >= headroom)
+    piece, _ = ndimage.label(np.isfinite(low), np.ones((3, 3)))
+    large = np.bincount(piece.ravel()) >= _foot_cells(surface)
+    found: BoolArray = face | (large[piece] & (piece > 0))
+    return found
+
+
+def _foot_cells(surface: HeightMap) -> int:
+    """Cells that make half a foot."""
+    return int(np.ceil(HALF_FOOT / surface.cell_width**2))
+
+
+def faces_reach(surface: HeightMap) -> int:
+    """Cells within which the ground, and other points, decide on a face."""
+    return _FACE_REACH + _foot_cells(surface)
+
+
+def hidden_reach(surface: HeightMap) -> int:
+    """Cells within which it is decided whether a thing may stand there: a disc's radius, its room, and its face."""
+    return 2 * int(np.ceil(MAX_HOLE_RADIUS / surface.cell_width)) + 3
+
+
+@njit(cache=True, nogil=True)
+def _discs(centres: IntArray, radius: FloatArray, asked: NDArray[np.int32]) -> BoolArray:
+    """Cells nearer to any of the `centres`, (k, 2), than its `radius` [cells], (nx, ny); `asked` are `count_cells`."""
+    nx, ny = radius.shape
+    covered = np.zeros((nx, ny), np.bool_)
+    for x, y in centres:
+        reach, far = radius[x, y], int(radius[x, y])
+        left, right, near, behind = max(x - far, 0), min(x + far + 1, nx), max(y - far, 0), min(y + far + 1, ny)
+        if count_in(asked, left, right, near, behind) == 0:
+            continue
+        for u in range(left, right):
+            for v in range(near, behind):
+                covered[u, v] |= (u - x) ** 2 + (v - y) ** 2 < reach * reach
+    return covered

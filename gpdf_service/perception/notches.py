@@ -48,12 +48,8 @@ def fill_notches(
     and at a riser: an open one shows the room beneath. A tread that is closed up to the next one is seen as wide as a
     sole: of those that are seen from below the noses are, and nobody has seen more.
 
-    Args:
-        surface: The ground.
-        flight: Cells of flights and their landings, shape (nx, ny).
-        beneath: Cells under which something was seen, deeper than a step, shape (nx, ny).
-        stands: Cells in which something lies over the nearest ground, shape (nx, ny).
-        config: Limits.
+    Cells are told, shape (nx, ny) each, of a `flight` and its landings, those `beneath` which something was seen deeper
+    than a step, and those in which something `stands` over the nearest ground.
     """
     width = surface.cell_width
     box = window(flight, int((NOTCH_SPAN + NOTCH_DEPTH) / width) + 2)  # nothing else is filled, or tells what is
