@@ -137,8 +137,6 @@ def _onto_risers_of(
     """`onto_risers` of one flight, as far as `reach` [m]: made are places, what is left on them, and what that is."""
     (angle, edges, heights, sigma), (moved, left, hidden) = flight.treads, made
     rows, u, v = flight.within(points, cells, reach)
-    if len(rows) == 0:
-        return
     order = np.argsort(v)
     rows, u, v = rows[order], u[order], v[order]
     z = points[rows, 2]

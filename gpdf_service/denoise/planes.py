@@ -12,16 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.denoise.cells import (
-    AROUND,
-    Cells,
-    begin_sweep,
-    gather,
-    look_around,
-    look_at,
-    sum_cells,
-    sum_window,
-)
+from gpdf_service.denoise.cells import AROUND, Cells, begin_sweep, gather, look_around, look_at, sum_cells, sum_window
 from gpdf_service.fields.shapes import FEWEST, add, fit_axis, fit_plane
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.tree import VECTORS

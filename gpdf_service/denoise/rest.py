@@ -6,14 +6,7 @@ import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
 
-from gpdf_service.denoise.cells import (
-    Cells,
-    begin_sweep,
-    count_in,
-    holds_any,
-    runs_within,
-    some_of,
-)
+from gpdf_service.denoise.cells import Cells, begin_sweep, count_in, holds_any, runs_within, some_of
 from gpdf_service.denoise.place import Placed
 from gpdf_service.denoise.planes import Windows
 from gpdf_service.fields.shapes import FEWEST

@@ -50,10 +50,8 @@ class Cloud:
 
     def chosen(self, grid: Layers | HeightMap, wanted: BoolArray, kind: BoolArray) -> FloatArray:
         """The points of a `kind`, shape (n,), in the `wanted` cells of a grid, (nx, ny)."""
-        if wanted.all():
-            return self.points.taken(np.flatnonzero(kind))
-        rows = self.points.rows_in_cells(np.asarray(grid.origin, np.float64), grid.cell_width, wanted, kind)
-        return self.points.taken(rows)
+        own = np.asarray(grid.origin, np.float64), grid.cell_width, wanted, kind
+        return self.points.taken(np.flatnonzero(kind) if wanted.all() else self.points.rows_in_cells(*own))
 
 
 def change_layers(

@@ -22,16 +22,7 @@ from gpdf_service.perception.voids import MAX_HOLE_RADIUS, Voids
 from gpdf_service.tiles.boxes import SIDES, Box, highest_around, lowest_around
 from gpdf_service.tiles.nearest import nearest_of
 from gpdf_service.tiles.rows import extent_within
-from gpdf_service.tiles.surface import (
-    INFERRED,
-    OBSERVED,
-    UNKNOWN,
-    HeightMap,
-    Nearest,
-    count_cells,
-    count_in,
-    without,
-)
+from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, Nearest, count_cells, count_in, without
 from gpdf_service.tiles.told import Grid
 from gpdf_service.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
@@ -80,8 +71,7 @@ def _known_to_be_free(
     as_map = partial(HeightMap, filled.origin, filled.cell_width)
 
     def faces(box: Box, height: Float32Array, state: ByteArray, stair: BoolArray) -> tuple[BoolArray]:
-        # a flight's treads were seen to its walls
-        return (find_faces(as_map(height, state), *held(box), headroom) & ~stair,)
+        return (find_faces(as_map(height, state), *held(box), headroom) & ~stair,)  # treads were seen to their walls
 
     def shown(
         box: Box, height: Float32Array, state: ByteArray, lowest: FloatArray, face: BoolArray
