@@ -6,6 +6,7 @@ their neighbours by pointers that only go forward: work and memory are those of 
 
 from __future__ import annotations
 
+from math import floor
 from typing import NamedTuple
 
 import numpy as np
@@ -55,11 +56,7 @@ def sort_into_cells(points: FloatArray, width: float) -> Cells:
     counts = np.floor((highest - corner) / width).astype(np.int64) + 1 + _MARGIN
     strides = np.array([counts[1] * counts[2], counts[2]])
     key = np.empty(len(points), np.int64)
-
-    def number(a: int, b: int) -> None:
-        key[a:b] = np.floor((points[a:b] - corner) / width).astype(np.int64) @ np.append(strides, 1)
-
-    run_chunked(number, len(points))
+    run_chunked(lambda a, b: _keys(points[a:b], corner, width, strides, key[a:b]), len(points))
     order = order_by(key)
     key, places = key[order], points.take(order, 0)
     places -= corner
@@ -81,6 +78,13 @@ def rows_in_plan(cells: Cells, low: FloatArray, high: FloatArray) -> IntArray:
     first, last = (np.searchsorted(cells.key, row + np.clip(at, 0, across) * cells.strides[1]) for at in (y, far + 1))
     runs = [cells.order[a:b] for a, b in zip(cells.begin[first], cells.begin[last], strict=True)]
     return np.sort(np.concatenate([np.zeros(0, np.int64), *runs]))
+
+
+@njit(cache=True, nogil=True)
+def _keys(points: FloatArray, corner: FloatArray, width: float, strides: IntArray, key: IntArray) -> None:
+    for i in range(len(points)):
+        x, y = floor((points[i, 0] - corner[0]) / width), floor((points[i, 1] - corner[1]) / width)
+        key[i] = x * strides[0] + y * strides[1] + floor((points[i, 2] - corner[2]) / width)
 
 
 def sum_cells(cells: Cells) -> FloatArray:
