@@ -9,7 +9,7 @@ import gpdf_service as gpdf
 from gpdf_service.bench.hostile import measure_all
 from gpdf_service.config import Config, PerceptionConfig
 from gpdf_service.errors import NoGroundError, TooLargeError
-from gpdf_service.perception.strays import find_strays
+from gpdf_service.perception.cloud import find_strays
 from gpdf_service.synthetic.hostile import KINDS, hostile_clouds
 from gpdf_service.tiles.columns import compacted
 

@@ -9,5 +9,5 @@ from gpdf_service.denoise.flights import Flight as Flight
 from gpdf_service.denoise.flights import onto_risers as onto_risers
 from gpdf_service.denoise.flights import onto_treads as onto_treads
 from gpdf_service.denoise.noise import estimate_noise as estimate_noise
-from gpdf_service.denoise.strays import FAR as FAR
-from gpdf_service.denoise.strays import find_lifted as find_lifted
+from gpdf_service.denoise.rest import FAR as FAR
+from gpdf_service.denoise.rest import find_lifted as find_lifted

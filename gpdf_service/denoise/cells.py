@@ -48,20 +48,6 @@ class Cells(NamedTuple):
     strides: IntArray
 
 
-class Some(NamedTuple):
-    """Some of the cells, which sweeps pass over without the rest.
-
-    Attributes:
-        cell: Which they are, ascending, shape (k,).
-        key: Number of each, shape (k,).
-        middle: Centre of each from the corner [m], shape (k, 3).
-    """
-
-    cell: IntArray
-    key: IntArray
-    middle: FloatArray
-
-
 def sort_into_cells(points: FloatArray, width: float) -> Cells:
     """Points, shape (n, 3) [m], in cells of at least `width` [m]."""
     lowest, highest = corners_of(points)
@@ -85,13 +71,7 @@ def rows_around(points: FloatArray, asked: BoolArray, width: float) -> IntArray:
 
 
 def rows_in_plan(cells: Cells, low: FloatArray, high: FloatArray) -> IntArray:
-    """Rows of the points in the columns of cells that meet a rectangle along the axes, ascending.
-
-    Args:
-        cells: The points.
-        low: Least x and y of the rectangle [m], shape (2,).
-        high: Greatest.
-    """
+    """Rows of the points in columns of cells that meet a rectangle from `low` to `high` [m], (2,) each, ascending."""
     (x, y), (right, far) = (np.floor((end - cells.corner[:2]) / cells.width).astype(np.int64) for end in (low, high))
     across = cells.strides[0] // cells.strides[1]
     row = np.arange(max(x, 0), right + 1) * cells.strides[0]
@@ -103,10 +83,8 @@ def rows_in_plan(cells: Cells, low: FloatArray, high: FloatArray) -> IntArray:
 @njit(cache=True, nogil=True)
 def _keys(points: FloatArray, corner: FloatArray, width: float, strides: IntArray, key: IntArray) -> None:
     for i in range(len(points)):
-        x = floor((points[i, 0] - corner[0]) / width)
-        y = floor((points[i, 1] - corner[1]) / width)
-        z = floor((points[i, 2] - corner[2]) / width)
-        key[i] = x * strides[0] + y * strides[1] + z
+        x, y = floor((points[i, 0] - corner[0]) / width), floor((points[i, 1] - corner[1]) / width)
+        key[i] = x * strides[0] + y * strides[1] + floor((points[i, 2] - corner[2]) / width)
 
 
 def sum_cells(cells: Cells) -> FloatArray:
@@ -134,34 +112,24 @@ def centre_of(cells: Cells, c: int) -> tuple[float, float, float]:
 
 
 @njit(cache=True, nogil=True)
-def begin_sweep(cells: Cells, first: int, rings: int = 1) -> IntArray:
-    """What a sweep goes on from, shape (2, (2 rings + 1)²): where the columns at most `rings` off cell `first` begin.
+def begin_sweep(cells: Cells, own: int, rings: int = 1) -> IntArray:
+    """What a sweep goes on from, shape (2, (2 rings + 1)²): where the columns at most `rings` off a cell begin.
 
-    And by how much the number of the lowest cell in such a column exceeds that of the cell itself.
+    And by how much the number of the lowest cell in such a column exceeds that of the cell, `own`.
     """
-    return begin_among(cells.key, cells, first, rings)
-
-
-@njit(cache=True, nogil=True)
-def begin_among(key: IntArray, cells: Cells, first: int, rings: int) -> IntArray:
-    """`begin_sweep` of some of the cells, whose numbers are `key`."""
     at = np.empty((2, (2 * rings + 1) ** 2), np.int64)
     for j in range(at.shape[1]):
         x, y = divmod(j, 2 * rings + 1)
         at[1, j] = (x - rings) * cells.strides[0] + (y - rings) * cells.strides[1] - rings
-        at[0, j] = np.searchsorted(key, cells.key[first] + at[1, j])
+        at[0, j] = np.searchsorted(cells.key, own + at[1, j])
     return at
 
 
 @lean()
 def look_around(cells: Cells, c: int, at: IntArray, near: IntArray) -> None:
-    """Write which cells are around c, shape (27,), −1 where there is none; x changes least often, z most.
+    """Write which cells are `near` c, shape (27,), −1 where there is none; x changes least often, z most.
 
-    Args:
-        cells: All of them.
-        c: No less than in the call before.
-        at: From `begin_sweep`.
-        near: Written.
+    Cell c is no less than in the call before; the sweep goes on from `at`, of `begin_sweep`.
     """
     key, m = cells.key, len(cells.key)
     for j in range(9):
@@ -246,7 +214,7 @@ def cells_around(cells: Cells, asked: BoolArray) -> BoolArray:
 
 @njit(cache=True, nogil=True)
 def _around_range(cells: Cells, asked: BoolArray, begin: int, end: int, found: BoolArray) -> None:
-    near, at = np.empty(AROUND, np.int64), begin_sweep(cells, begin)
+    near, at = np.empty(AROUND, np.int64), begin_sweep(cells, cells.key[begin])
     for c in range(begin, end):
         if holds_any(cells, c, asked):
             look_around(cells, c, at, near)
@@ -255,38 +223,26 @@ def _around_range(cells: Cells, asked: BoolArray, begin: int, end: int, found: B
                     found[j] = True
 
 
-def some_of(cells: Cells, which: BoolArray) -> Some:
-    """The cells that `which` says, shape (m,)."""
+def some_of(cells: Cells, which: BoolArray) -> Cells:
+    """The cells that `which` says, shape (m,), for sweeps without the rest: each holds its own row and its middle."""
     cell = np.flatnonzero(which)
-    key = cells.key[cell]
-    x, rest = np.divmod(key, cells.strides[0])
-    return Some(cell, key, (np.column_stack([x, *np.divmod(rest, cells.strides[1])]) + 0.5) * cells.width)
+    x, rest = np.divmod(cells.key[cell], cells.strides[0])
+    middle = (np.column_stack([x, *np.divmod(rest, cells.strides[1])]) + 0.5) * cells.width
+    return cells._replace(order=cell, places=middle, begin=np.arange(len(cell) + 1), key=cells.key[cell])
 
 
 @lean()
-def some_within(some: Some, key: int, rings: int, at: IntArray, beside: IntArray) -> int:
-    """Write which of some cells are at most `rings` off that of a `key`, no less than in the call before; how many.
+def runs_within(cells: Cells, own: int, rings: int, at: IntArray, runs: IntArray) -> int:
+    """Write where places in the cells at most `rings` off the one numbered `own` begin and end, by column; how many.
 
-    The sweep goes on from `at`, of `begin_among` with as many rings.
+    It is no less than in the call before; the sweep goes on from `at`, of `begin_sweep` with as many rings.
     """
     found = 0
     for column in range(at.shape[1]):
-        first, last = _go_on(some.key, key, 2 * rings, at, column)
-        for j in range(first, last):
-            beside[found] = j
-            found += 1
-    return found
-
-
-@lean()
-def runs_within(cells: Cells, c: int, rings: int, at: IntArray, runs: IntArray) -> int:
-    """Write where the places of the cells at most `rings` off cell c begin and end, column by column; how many are any.
-
-    Cell c is no less than in the call before; the sweep goes on from `at`, of `begin_sweep` with as many rings.
-    """
-    found = 0
-    for column in range(at.shape[1]):
-        first, last = _go_on(cells.key, cells.key[c], 2 * rings, at, column)
+        first, highest = _begin_of(cells.key, own, at, column), own + at[1, column] + 2 * rings
+        last = first
+        for _ in range(2 * rings + 1):
+            last += last < len(cells.key) and cells.key[last] <= highest
         runs[found, 0], runs[found, 1] = cells.begin[first], cells.begin[last]
         found += first < last
     return found
@@ -299,16 +255,6 @@ def count_in(runs: IntArray) -> int:
     for run in runs:
         count += run[1] - run[0]
     return count
-
-
-@lean()
-def _go_on(key: IntArray, own: int, high: int, at: IntArray, column: int) -> tuple[int, int]:
-    """Where a column around the cell numbered `own` begins, and ends `high` cells over its lowest one."""
-    first = _begin_of(key, own, at, column)
-    last, highest = first, own + at[1, column] + high
-    for _ in range(high + 1):
-        last += last < len(key) and key[last] <= highest
-    return first, last
 
 
 @lean()

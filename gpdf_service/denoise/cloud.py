@@ -113,12 +113,9 @@ def _arrays(made: Denoised) -> tuple[NDArray[Any], ...]:
 
 
 def _denoise_part(points: FloatArray, noise: float, spacing: float) -> Denoised:
-    """All as noisy as the noisiest, then what is quieter with its own noise, beside what is around it.
-
-    Blocks are of places on surfaces: one that cuts a wall's points as they were measured has those that are off little.
-    """
+    """All as noisy as the noisiest, then what is quieter with its own noise, beside what is around it."""
     made = _denoise_alike(points, noise, spacing)
-    blocks = sort_into_cells(made.points, _BLOCK)
+    blocks = sort_into_cells(made.points, _BLOCK)  # as measured, one that cuts a wall's points has those off little
     for _ in range(_ROUNDS):
         found = list(_quieter(points, blocks, made))
         if not found:
@@ -147,10 +144,7 @@ def _quieter(points: FloatArray, blocks: Cells, made: Denoised) -> Iterator[tupl
 
 @njit(cache=True, nogil=True)
 def _medians(blocks: Cells, points: FloatArray, made: Denoised, begin: int, end: int, median: FloatArray) -> None:
-    """Median of how far the points of each block were moved [m]; as much as is told at most where too few were.
-
-    Those that are hardly known do not count: such a plane follows its points.
-    """
+    """Median of how far the well-known points of each block were moved [m]; the most that is told if these are few."""
     x, y, off = points, made.points, np.empty(np.diff(blocks.begin[begin : end + 1]).max())
     for c in range(begin, end):
         rows, count = blocks.order[blocks.begin[c] : blocks.begin[c + 1]], 0
@@ -164,12 +158,8 @@ def _denoise_alike(points: FloatArray, noise: float, spacing: float) -> Denoised
     """Points that are as noisy all over, in one pass."""
     width = max(RESOLVED * noise, _FILLED * spacing)
     cells = sort_into_cells(points, _WIDE * width)
-    placed = Placed(
-        points.copy(),
-        np.full(len(points), np.inf),
-        np.ones(len(points), dtype=bool),
-        np.zeros(points.shape, np.float32),
-    )
+    error, pending = np.full(len(points), np.inf), np.ones(len(points), dtype=bool)
+    placed = Placed(points.copy(), error, pending, np.zeros(points.shape, np.float32))
     wide = find_planes(cells, noise, np.ones(len(cells.key), dtype=bool))
     _place_flat(wide, placed)
     cells = sort_into_cells(points, width)

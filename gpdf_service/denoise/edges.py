@@ -13,16 +13,15 @@ from numba import njit
 
 from gpdf_service.denoise.cells import (
     AROUND,
-    Some,
-    begin_among,
+    Cells,
     begin_sweep,
     centre_of,
     gather,
     holds_any,
     look_around,
     look_at,
+    runs_within,
     some_of,
-    some_within,
 )
 from gpdf_service.denoise.place import Placed, place_points
 from gpdf_service.denoise.planes import THICK, Planes, Windows
@@ -35,44 +34,45 @@ from gpdf_service.types import IntArray
 
 _RINGS = 3
 """Cells off its own that planes are taken from: a window clear of an edge is two off, all those around it three."""
+_SIDE = 2 * _RINGS + 1
+"""Cells along a side of all that planes are taken from."""
 _HALF = 1.0
 """[-] Cells to either side of a cell's middle whose points the planes must explain: half of them are its own."""
 
 
 def place_at_edges(windows: Windows, placed: Placed) -> None:
-    """Put the pending points of cells that the planes around explain onto these.
+    """Put the pending points of cells that the planes around explain onto these, in place.
 
-    Args:
-        windows: Of the points; until now only cells where all around is flat have a main plane.
-        placed: Where the points are; changed in place.
+    Until now only those `windows` where all around is flat have a main plane.
     """
     flat = some_of(windows.cells, windows.main[:, 4] > 0.0)
-    planes = np.ascontiguousarray(windows.planes[flat.cell, 0])
+    planes = np.ascontiguousarray(windows.planes[flat.order, 0])
     run_chunked(lambda a, b: _edge_range(windows, (flat, planes), placed, a, b), len(windows.main))
 
 
 @njit(cache=True, nogil=True)
-def _edge_range(windows: Windows, told: tuple[Some, Planes], placed: Placed, begin: int, end: int) -> None:
+def _edge_range(windows: Windows, told: tuple[Cells, Planes], placed: Placed, begin: int, end: int) -> None:
     """As `place_at_edges`, of cells from `begin` to `end`; the flat cells are told, and their planes."""
     (cells, sigma, _, _), (flat, planes) = windows, told
-    near, beside = np.empty(AROUND, np.int64), np.empty((2 * _RINGS + 1) ** 3, np.int64)
-    room, own, rows = make_room(len(beside)), make_room(VOTES), np.empty(MOST, np.int64)
-    at, wide, half = begin_sweep(cells, begin), begin_among(flat.key, cells, begin, _RINGS), _HALF * cells.width
+    near, runs, rows = np.empty(AROUND, np.int64), np.empty((_SIDE**2, 2), np.int64), np.empty(MOST, np.int64)
+    room, own, half, first = make_room(_SIDE**3), make_room(VOTES), _HALF * cells.width, cells.key[begin]
+    at, wide = begin_sweep(cells, first), begin_sweep(flat, first, _RINGS)
     for c in range(begin, end):
         if not holds_any(cells, c, placed.pending):
             continue
         count, (x, y, z) = 0, centre_of(cells, c)
-        for j in beside[: some_within(flat, cells.key[c], _RINGS, wide, beside)]:
-            a, b, d = flat.middle[j]
-            count = add_vote(planes[j], (a - x, b - y, d - z), cells.width, sigma, room.cast, count)
+        for run in runs[: runs_within(flat, cells.key[c], _RINGS, wide, runs)]:
+            for j in range(run[0], run[1]):
+                a, b, d = flat.places[j]
+                count = add_vote(planes[j], (a - x, b - y, d - z), cells.width, sigma, room.cast, count)
         if count == 0:
             continue
         look_around(cells, c, at, near)
         number = look_at(cells, c, rows[: gather(cells, near, rows)], room.about)
-        close = _count_close(room, number, half)
+        close, thickness = _close_to(room, number, half)
         kinds = cluster(room, count, cells.width, sigma) if close >= FEWEST else 0
-        most = _explained(sigma, close)
-        if kinds == 0 or (kinds == 1 and _thickness(room, number, half) > most):
+        most = sigma**2 * (close + THICK * sqrt(2.0 * close))  # sum of squares that the noise explains
+        if kinds == 0 or (kinds == 1 and thickness > most):
             continue
         sum_known(room.found[:kinds], cells.width, sigma, room.known)
         fit_by_turns(sigma, cells.width, room, number, kinds)
@@ -83,31 +83,12 @@ def _edge_range(windows: Windows, told: tuple[Some, Planes], placed: Placed, beg
 
 @lean()
 def _bends(windows: Windows, near: IntArray, about: tuple[Room, int], room: Room, kinds: int, rest: float) -> bool:
-    """Whether no more planes, of the windows right around, leave less: then the surface bends, and goes not on.
-
-    It is asked `about` the points in a room, of which there are so many.
-    """
+    """Whether no more planes, of the windows right around, leave less of the points `about`: then the surface bends."""
     width = windows.cells.width
     own = cluster(room, collect(windows, near, room.cast), width, windows.sigma)
     if own == 0 or own > kinds:
         return own == 0
     return bool(_rest(room, *about, own, _HALF * width) < rest)
-
-
-@lean()
-def _explained(sigma: float, number: int) -> float:
-    """Sum of the squares by which the noise has so many points off their planes, at most [m²]."""
-    return sigma**2 * (number + THICK * sqrt(2.0 * number))
-
-
-@lean()
-def _count_close(room: Room, number: int, half: float) -> int:
-    """How many of so many points about a cell its planes must explain."""
-    x, y, z = room.about[0, :number], room.about[1, :number], room.about[2, :number]
-    count = 0
-    for k in range(number):
-        count += _is_close(x[k], y[k], z[k], half)
-    return count
 
 
 @lean()
@@ -117,23 +98,21 @@ def _is_close(x: float, y: float, z: float, half: float) -> bool:
 
 
 @lean()
-def _thickness(room: Room, number: int, half: float) -> float:
-    """What no one plane can leave less of than of the points close to a cell [m²]."""
+def _close_to(room: Room, number: int, half: float) -> tuple[int, float]:
+    """How many of the points about a cell its planes must explain, and what one plane leaves of them at least [m²]."""
     x, y, z = room.about[0, :number], room.about[1, :number], room.about[2, :number]
     moments, (place, normal, _) = room.sums[0], room.vectors
     moments[:] = 0.0
     for k in range(number):
         if _is_close(x[k], y[k], z[k], half):
             add(moments, x[k], y[k], z[k])
-    return float(moments[0] * fit_plane(moments, place, normal)[0])
+    few = moments[0] < FEWEST
+    return int(moments[0]), 0.0 if few else float(moments[0] * fit_plane(moments, place, normal)[0])
 
 
 @lean()
 def _rest(planes: Room, room: Room, number: int, kinds: int, half: float) -> float:
-    """Sum of the squares by which the points close to a cell are off its planes [m²].
-
-    The first `kinds` planes are in one room, and so many points in another one, which may be the same.
-    """
+    """Sum of squares [m²] by which the points in a room close to a cell are off the first `kinds` planes in another."""
     x, y, z = room.about[0, :number], room.about[1, :number], room.about[2, :number]
     found, (own, place, _), total = planes.found[:kinds], planes.vectors, 0.0
     for k in range(number):

@@ -80,7 +80,7 @@ def return_explained(
 @njit(cache=True, nogil=True)
 def _alone_range(told: Cells, vague: BoolArray, sigma: FloatArray, alone: BoolArray, begin: int, end: int) -> None:
     """Add which points have less around than a corner of a surface shows, of the least that shows one."""
-    runs, at = np.empty((10, 2), np.int64), begin_sweep(told, begin)
+    runs, at = np.empty((10, 2), np.int64), begin_sweep(told, told.key[begin])
     for c in range(begin, end):
         runs[9, 0], runs[9, 1], count = told.begin[c], told.begin[c + 1], 0
         for i in range(told.begin[c], told.begin[c + 1]):
@@ -89,7 +89,7 @@ def _alone_range(told: Cells, vague: BoolArray, sigma: FloatArray, alone: BoolAr
             seen = _shown_in(told, runs[9:], vague, i, sigma)
             if seen < _CORNER:
                 if count == 0:
-                    count = runs_within(told, c, 1, at, runs[:9])
+                    count = runs_within(told, told.key[c], 1, at, runs[:9])
                 seen = _shown_in(told, runs[:count], vague, i, sigma)
             alone[told.order[i]] = seen < _CORNER
 
@@ -109,18 +109,10 @@ def _shown_in(told: Cells, runs: IntArray, vague: BoolArray, i: int, sigma: Floa
 
 
 class _Asked(NamedTuple):
-    """What is asked about, all in the order of the cells.
+    """Which points are asked about, `doubtful` and of their `own` part, in the order of `cells`, and `rings` around.
 
-    Attributes:
-        cells: Of the points as they were measured.
-        rings: Cells off its own that a point's surface is looked for in.
-        doubtful: Those that are asked about, shape (n,).
-        own: Those of which the doubtful are asked about, shape (n,).
-        sigma: Noise of each point [m], shape (n,).
-        apart: Standard deviations off a surface of their own, within which they stay [-].
-        told: Where the points are now, from the cells' corner [m], shape (n, 3).
-        around: What was measured around them, and its mean, shape (n, 4); of the doubtful.
-        thin: Whether all points show where something is, and not only those that are not doubtful.
+    Each has a noise `sigma` [m], is `told` to be somewhere from the cells' corner [m], (n, 3), and has `around` it what
+    was measured, with its mean, (n, 4). In the `thin` round all points show where something is, else the sure ones.
     """
 
     cells: Cells
@@ -135,14 +127,7 @@ class _Asked(NamedTuple):
 
 
 class _Room(NamedTuple):
-    """The points about a cell, once for all those of it that are asked about.
-
-    Attributes:
-        x: Where they are told to be, from the cells' corner [m], shape (k,).
-        y: The same.
-        z: The same.
-        rows: Which they are, shape (k,).
-    """
+    """The points about a cell: where they are told to be, from the cells' corner [m], and which they are, (k,) each."""
 
     x: FloatArray
     y: FloatArray
@@ -153,13 +138,6 @@ class _Room(NamedTuple):
 @njit(cache=True, nogil=True)
 def _make_room(count: int) -> _Room:
     return _Room(np.empty(count), np.empty(count), np.empty(count), np.empty(count, np.int64))
-
-
-@njit(cache=True, nogil=True)
-def _enough(room: _Room, runs: IntArray) -> _Room:
-    """The room, or a larger one: for all points of the runs."""
-    count = count_in(runs)
-    return room if count <= len(room.rows) else _make_room(2 * count)
 
 
 @njit(cache=True, nogil=True)
@@ -196,19 +174,19 @@ def _measure(shown: _Room, x: FloatArray, rate: float, around: FloatArray) -> No
 def _explain_range(asked: _Asked, places: FloatArray, moved: BoolArray, begin: int, end: int) -> None:
     """Move what is explained; before, write how much was measured around each doubtful point, and its mean.
 
-    That is half-way to what is thinner than the noise. For a density p of what was measured the source of a point is
-    expected at x + σ² ∇ log p (Tweedie, 1956; Efron, 2011). With p smoothed by σ itself, which makes it wider and the
-    step shorter, that is this mean.
+    For a density p of what was measured the source of a point is expected at x + σ² ∇ log p (Tweedie, 1956; Efron,
+    2011). With p smoothed by σ itself, that is this mean: half-way to what is thinner than the noise.
     """
     (cells, _, doubtful), none, room, mean = asked[:3], np.zeros_like(asked.doubtful), _make_room(0), np.empty(3)
-    at = begin_sweep(cells, begin, asked.rings)
+    at = begin_sweep(cells, cells.key[begin], asked.rings)
     runs = np.empty((at.shape[1], 2), np.int64)
     for c in range(begin, end):
         first, last = cells.begin[c], cells.begin[c + 1]
         if not doubtful[first:last].any():
             continue
-        around = runs[: runs_within(cells, c, asked.rings, at, runs)]
-        room = _enough(room, around)
+        around = runs[: runs_within(cells, cells.key[c], asked.rings, at, runs)]
+        count = count_in(around)
+        room = room if count <= len(room.rows) else _make_room(2 * count)
         if not asked.thin:
             measured = _look(cells.places, none, around, room)
             for i in range(first, last):
@@ -266,20 +244,12 @@ def _stays(asked: _Asked, shown: _Room, i: int) -> bool:
             least, nearest = off, shown.rows[k]
     if nearest < 0:
         return True
-    near = max(least, _square_between(asked.told[i], asked.told[nearest]))
+    a, b = asked.told[i], asked.told[nearest]
+    near = max(least, (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
     return bool(asked.own[nearest] and near < (asked.apart * asked.sigma[i]) ** 2)
 
 
 @lean()
-def _square_between(a: FloatArray, b: FloatArray) -> float:
-    found: float = (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2
-    return found
-
-
-@lean()
 def _by_chance(variance: float, skew: float) -> float:
-    """How much more than is expected was measured by chance, `_CHANCE` standard errors or, of few points, more.
-
-    Cornish and Fisher (1938): the third moment tells how far the tail of a sum of few reaches.
-    """
+    """How much more than is expected was measured by chance, by the third moment, too: Cornish and Fisher 1938."""
     return _CHANCE * sqrt(variance) + skew * (_CHANCE**2 - 1.0) / (6.0 * variance)

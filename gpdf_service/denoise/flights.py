@@ -97,20 +97,16 @@ class Flight(NamedTuple):
 def onto_treads(points: FloatArray, noise: float, moved: FloatArray, left: FloatArray) -> list[Flight]:
     """Set those of the ground `points`, shape (n, 3) [m], that are on a flight's treads onto them.
 
-    Args:
-        points: Ground as it was measured.
-        noise: Its standard deviation [m].
-        moved: The same points, cured, to be written to.
-        left: Standard deviation left on each [m], shape (n,), to be written to.
+    They were measured with that `noise` [m]. Where they are `moved` to and what is `left` of it, (n,) [m], is written.
 
     Returns:
         The flights.
     """
-    flights: list[Flight] = []
     if len(points) == 0:
-        return flights
+        return []
     cells = sort_into_cells(points, _VOXEL)
-    for flight in _flights(points, cells, noise):
+    flights = list(_flights(points, cells, noise))
+    for flight in flights:
         rows, u, _ = flight.within(points, cells)
         z, reach = points[rows, 2], _OFF * noise
         mine = z >= flight.treads.height_at(u - reach) - reach
@@ -118,7 +114,6 @@ def onto_treads(points: FloatArray, noise: float, moved: FloatArray, left: Float
         moved[rows[mine], :2] = points[rows[mine], :2]
         moved[rows[mine], 2] = flight.treads.height_at(u[mine])
         left[rows[mine]] = HIDDEN * noise
-        flights.append(flight)
     return flights
 
 
@@ -142,8 +137,6 @@ def _onto_risers_of(
     """`onto_risers` of one flight, as far as `reach` [m]: made are places, what is left on them, and what that is."""
     (angle, edges, heights, sigma), (moved, left, hidden) = flight.treads, made
     rows, u, v = flight.within(points, cells, reach)
-    if len(rows) == 0:
-        return
     order = np.argsort(v)
     rows, u, v = rows[order], u[order], v[order]
     z = points[rows, 2]
@@ -165,17 +158,10 @@ def _onto_risers_of(
 def _as_riser(
     v: FloatArray, off: FloatArray, share: FloatArray, sigma: float, rise: float, ends: tuple[float, float]
 ) -> BoolArray:
-    """Which of a riser's points, in order along its edge, lie among others as a riser's do.
+    """Which points of a riser, at v along its edge, rising, and `off` it [m], lie among others as a riser's do.
 
-    The others are those to either side, or, near the flight's ends, where a wall can be, those further in.
-
-    Args:
-        v: Along the edge [m], shape (n,), rising.
-        off: Before or behind the riser [m], shape (n,).
-        share: Height over its foot, of its `rise`, shape (n,).
-        sigma: Standard deviation of the points [m].
-        rise: Its height [m].
-        ends: Of the flight along its edges [m].
+    They have a `share` of its `rise` under them, and the noise `sigma` [m]. The others are those to either side, or,
+    near the flight's `ends` along its edges [m], where a wall can be, those further in.
     """
     sums = np.cumsum(np.stack([np.ones_like(v), off, off * off, share]), axis=1)
     sums = np.concatenate([np.zeros((4, 1)), sums], axis=1)
@@ -206,12 +192,6 @@ class _Piece(NamedTuple):
     ramp: FloatArray
     goes_on: tuple[bool, bool]
 
-    @property
-    def reach(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """From where to where it is looked for, along the way up and aside [m]: a core beyond its voxels."""
-        (u, v), (up, aside) = self.low - _CORE, self.high + _CORE
-        return (float(u), float(up)), (float(v), float(aside))
-
 
 def _steep_pieces(cells: Cells) -> Iterator[_Piece]:
     """Parts of the ground, in voxels, that are as steep as stairs, one way up, cut to what is fitted as one."""
@@ -232,13 +212,10 @@ def _steep_pieces(cells: Cells) -> Iterator[_Piece]:
 
 
 def _gradients(cells: Cells) -> tuple[FloatArray, FloatArray]:
-    """Mean of the points in each cell, shape (m, 3) [m], and gradient of the plane through those around, shape (m, 2).
-
-    It is 0 where there is none.
-    """
+    """Mean of the points in each cell, (m, 3) [m], and gradient of the plane through those around, (m, 2), or 0."""
     sums, gradient = sum_cells(cells), np.zeros((len(cells.key), 2))
-    middles = some_of(cells, np.ones(len(gradient), dtype=bool)).middle
-    voxels = cells._replace(places=middles + sums[:, 1:4] / sums[:, :1], begin=np.arange(len(gradient) + 1))
+    voxels = some_of(cells, np.ones(len(gradient), dtype=bool))
+    voxels = voxels._replace(places=voxels.places + sums[:, 1:4] / sums[:, :1])
     run_chunked(lambda a, b: _gradient_range(voxels, sums[:, 0], a, b, gradient), len(gradient))
     return cells.corner + voxels.places, gradient
 
@@ -246,10 +223,10 @@ def _gradients(cells: Cells) -> tuple[FloatArray, FloatArray]:
 @njit(cache=True, nogil=True)
 def _gradient_range(voxels: Cells, weight: FloatArray, begin: int, end: int, gradient: FloatArray) -> None:
     """Write the gradient around each of the voxels, which hold one place each, of all within `_AROUND`."""
-    at, runs = begin_sweep(voxels, begin, _RINGS), np.empty(((2 * _RINGS + 1) ** 2, 2), np.int64)
+    at, runs = begin_sweep(voxels, voxels.key[begin], _RINGS), np.empty(((2 * _RINGS + 1) ** 2, 2), np.int64)
     for c in range(begin, end):
         count, n, x, y, z, xx, xy, yy, xz, yz = 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for run in runs[: runs_within(voxels, c, _RINGS, at, runs)]:
+        for run in runs[: runs_within(voxels, voxels.key[c], _RINGS, at, runs)]:
             for j in range(run[0], run[1]):
                 a, b = voxels.places[j, 0] - voxels.places[c, 0], voxels.places[j, 1] - voxels.places[c, 1]
                 h = voxels.places[j, 2] - voxels.places[c, 2]
@@ -274,14 +251,11 @@ def _cut(means: FloatArray, gradient: FloatArray) -> Iterator[_Piece]:
     size = (high - low) / [rows, columns]
     row = np.minimum(((u - low[0]) / size[0]).astype(np.int64), rows - 1)
     column = np.minimum(((v - low[1]) / size[1]).astype(np.int64), columns - 1)
-    for i in range(rows):
-        for j in range(columns):
-            mine = (row == i) & (column == j)
-            if mine.sum() < _LEAST_VOXELS:
-                continue
+    for i, j in product(range(rows), range(columns)):
+        mine = (row == i) & (column == j)
+        if mine.sum() >= _LEAST_VOXELS:
             design = np.column_stack([u[mine], np.ones(int(mine.sum()))])
-            ramp = np.linalg.lstsq(design, means[mine, 2], rcond=None)[0]
-            corner = low + size * [i, j]
+            ramp, corner = np.linalg.lstsq(design, means[mine, 2], rcond=None)[0], low + size * [i, j]
             yield _Piece(way, corner, corner + size, ramp, (i > 0, i < rows - 1))
 
 
@@ -296,23 +270,20 @@ def _flights(points: FloatArray, cells: Cells, noise: float) -> Iterator[Flight]
     """All flights of the ground, each looked for in cores beside each other, and grown along its edges."""
     for piece in _steep_pieces(cells):
         axes = np.stack([piece.way, [-piece.way[1], piece.way[0]]])
-        low, high = np.transpose(piece.reach)
+        low, high = piece.low - _CORE, piece.high + _CORE  # a core beyond its voxels
         near = points[rows_in_plan(cells, *_bounds(np.zeros(2), piece.way, low, high))]
         u, v = near[:, :2] @ axes[0], near[:, :2] @ axes[1]
         ramp = piece.ramp[0] * np.clip(u, piece.low[0], piece.high[0]) + piece.ramp[1]
         mine = np.abs(near[:, 2] - ramp) <= _TALLEST + _OFF * noise
-        for w, (low, high) in zip((u, v), piece.reach, strict=True):
-            mine &= (w >= low) & (w <= high)
+        mine &= (u >= low[0]) & (u <= high[0]) & (v >= low[1]) & (v <= high[1])
         near, found = near[mine], list[Flight]()
         blocks = ceil((piece.high[1] - piece.low[1]) / _CORE)
         for share in (np.arange(blocks) + 0.5) / blocks:
             origin = (piece.low + [0.5, share] * (piece.high - piece.low)) @ axes
-            if any(flight.reaches(origin) for flight in found):
-                continue
-            flight = _fitted(near, piece, origin, noise)
-            if flight is not None:
-                found.append(flight)
-                yield flight
+            if not any(flight.reaches(origin) for flight in found):
+                flight = _fitted(near, piece, origin, noise)
+                found += [] if flight is None else [flight]
+        yield from found
 
 
 def _fitted(points: FloatArray, piece: _Piece, origin: FloatArray, noise: float) -> Flight | None:

@@ -61,12 +61,8 @@ def estimate_noise(
     looked at is thinned first; no further, for what is crowded (leaves, shelves) shows its own size at last, and that
     is no noise.
 
-    Args:
-        points: The cloud [m].
-        spacing: Between its points [m].
-        sheets: Whether two sheets on each other can both be there.
-        tree: Over the points, where there is one.
-        places: How many of them are looked at.
+    The points lie `spacing` [m] apart, in a `tree` where there is one. So many `places` of them are looked at. Whether
+    two `sheets` on each other can both be there is told.
     """
     if len(points) < _TOLD or spacing <= 0.0:
         return 0.0
@@ -94,10 +90,7 @@ def _quartile(freedom: float, side: float) -> float:
 
 @njit(cache=True, nogil=True)
 def _unclipped(deviation: float, radius: float) -> float:
-    """Deviation σ off a plane [m], where that in a ball of this `radius` r is given: the ball cuts off what is far.
-
-    Over the ball's disc the noise is cut at ±√(r² − ρ²): of σ² it leaves 1 − 2 / (r² / σ² − 1).
-    """
+    """Deviation σ off a plane [m] by that in a ball of `radius` r, which leaves of σ² 1 − 2 / (r² / σ² − 1)."""
     q = min((deviation / radius) ** 2, 0.1)
     return radius * sqrt((1.0 + q - sqrt((1.0 + q) ** 2 - 12.0 * q)) / 6.0)
 
@@ -106,10 +99,9 @@ def _unclipped(deviation: float, radius: float) -> float:
 def _noise_range(
     tree: Tree, places: FloatArray, radii: FloatArray, sheets: bool, rest: FloatArray, shown: FloatArray
 ) -> None:
-    """The larger radii are looked at only where the smaller ones do not tell: they hold most of the points.
+    """Write the `rest`, inf where the next radius holds too many points, and what is `shown` to be noise; NaN stays.
 
-    The `rest`, NaN before, stays so where no radius tells, and is inf where the next one holds too many points; what is
-    `shown` to be noise, NaN before, stays so elsewhere. Each is such that its quartile is the deviation [m].
+    Each is such that its quartile is the deviation [m]. Larger radii, which hold most points, are asked last.
     """
     moments, mean, normal, near = np.zeros((len(radii), 10)), np.zeros(3), np.zeros(3), np.zeros((MOST, 3))
     side, pair, sums, look = np.zeros(MOST, np.int64), np.zeros((3, 9)), make_sums(), make_look()

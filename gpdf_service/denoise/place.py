@@ -42,10 +42,8 @@ class Placed(NamedTuple):
 def place_in_cells(windows: Windows, placed: Placed, least: int = 0) -> None:
     """Put the points that are pending onto the nearest plane of their cell, if one is within `FAR` σ.
 
-    Args:
-        windows: Of the points; the main planes are written.
-        placed: Where the points are; changed in place.
-        least: Votes of the one plane that a cell must have; 0 where it may have several, and few votes.
+    The main planes of the `windows` are written. A cell must have one plane, of more votes than the `least`; where that
+    is 0 it may have several, and few votes.
     """
     run_chunked(lambda a, b: _place_range(windows, placed, least, a, b), len(windows.main))
 
@@ -53,7 +51,7 @@ def place_in_cells(windows: Windows, placed: Placed, least: int = 0) -> None:
 @njit(cache=True, nogil=True)
 def _place_range(windows: Windows, placed: Placed, least: int, begin: int, end: int) -> None:
     cells, room, near, rows = windows.cells, make_room(VOTES), np.empty(AROUND, np.int64), np.empty(_MOST, np.int64)
-    at = begin_sweep(cells, begin)
+    at = begin_sweep(cells, cells.key[begin])
     for c in range(begin, end):
         if not holds_any(cells, c, placed.pending):
             continue

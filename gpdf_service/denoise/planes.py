@@ -12,17 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.denoise.cells import (
-    AROUND,
-    Cells,
-    begin_sweep,
-    gather,
-    look_around,
-    look_at,
-    sum_cells,
-    sum_window,
-)
-from gpdf_service.fields.shapes import FEWEST, fit_axis, fit_plane
+from gpdf_service.denoise.cells import AROUND, Cells, begin_sweep, gather, look_around, look_at, sum_cells, sum_window
+from gpdf_service.fields.shapes import FEWEST, add, fit_axis, fit_plane
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.tree import VECTORS
 from gpdf_service.kernel_cache import lean
@@ -82,7 +73,7 @@ def _planes_range(windows: Windows, moments: FloatArray, wanted: BoolArray, begi
     cells, sigma, planes, _ = windows
     near, total, normal, mean = np.empty(AROUND, np.int64), np.empty(10), np.empty(3), np.empty(3)
     rows, halves, about = np.empty(_MOST, np.int64), np.empty((2, 10)), np.empty((4, _MOST))
-    at, sides = begin_sweep(cells, begin), np.empty((2, _MOST), np.int64)
+    at, sides = begin_sweep(cells, cells.key[begin]), np.empty((2, _MOST), np.int64)
     for c in range(begin, end):
         if not wanted[c]:
             continue
@@ -138,14 +129,9 @@ def _write(
 
 @lean()
 def _split(about: FloatArray, n: int, axis: FloatArray, sides: IntArray, halves: FloatArray) -> bool:
-    """Write the sums of two sheets across `axis`, (2, 10); whether there are two.
+    """Write the sums of two sheets of the n points `about` across `axis` into their `halves`; whether there are two.
 
-    Args:
-        about: The points, and room for how high they are, shape (4, …) [m].
-        n: How many points there are.
-        axis: Across the sheets, shape (3,).
-        sides: Room for which points are of each, shape (2, …).
-        halves: Written.
+    The last row of `about`, and the `sides`, are room for heights and for which points are of each.
     """
     x, y, z, heights = about[0, :n], about[1, :n], about[2, :n], about[3, :n]
     total, (u, v, w) = 0.0, axis
@@ -166,28 +152,11 @@ def _split(about: FloatArray, n: int, axis: FloatArray, sides: IntArray, halves:
         sides[0, under], sides[1, over] = i, i
         over += heights[i] > cut
         under = i + 1 - over
+    halves[:] = 0.0
     for half in range(SHEETS):
-        _sum_side(about, sides[half, : over if half > 0 else under], halves[half])
+        for i in sides[half, : over if half > 0 else under]:
+            add(halves[half], x[i], y[i], z[i])
     return bool(min(under, over) >= FEWEST)
-
-
-@lean()
-def _sum_side(about: FloatArray, rows: IntArray, m: FloatArray) -> None:
-    """Write the sums of some of the points, as `add` makes them."""
-    x, y, z = about[0], about[1], about[2]
-    m1, m2, m3, m4, m5, m6, m7, m8, m9 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in rows:
-        a, b, c = x[i], y[i], z[i]
-        m1 += a
-        m2 += b
-        m3 += c
-        m4 += a * a
-        m5 += b * b
-        m6 += c * c
-        m7 += a * b
-        m8 += a * c
-        m9 += b * c
-    m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9] = len(rows), m1, m2, m3, m4, m5, m6, m7, m8, m9
 
 
 @lean(fastmath=VECTORS)

@@ -34,45 +34,32 @@ _STRIP = 2
 
 
 def draw_in(windows: Windows, placed: Placed) -> BoolArray:
-    """Move points that are beyond the end of their surface back to it; which have too few beside to tell, shape (n,).
-
-    Args:
-        windows: Of the points as they were measured.
-        placed: Where the points are; changed in place.
-    """
+    """Move points that are beyond the end of their surface back to it; which have too few beside to tell, (n,)."""
     cells, few = windows.cells, np.zeros(len(placed.points), dtype=bool)
-    told = _in_order(cells, placed)
-    run_chunked(lambda a, b: _rim_range(windows, told, placed, few, a, b), len(cells.key))
-    return few
-
-
-def _in_order(cells: Cells, placed: Placed) -> tuple[FloatArray, FloatArray]:
-    """Where the points are with their normals, (n, 6), and sums of those before each as they were measured, (n + 1, 3).
-
-    They are in the order of the cells.
-    """
     sums = np.zeros((len(cells.order) + 1, 3))
     np.cumsum(cells.places, axis=0, out=sums[1:])
-    return np.column_stack([placed.points.take(cells.order, 0), placed.normal.take(cells.order, 0)]), sums
+    told = np.column_stack([placed.points.take(cells.order, 0), placed.normal.take(cells.order, 0)]), sums
+    run_chunked(lambda a, b: _rim_range(windows, told, placed, few, a, b), len(cells.key))
+    return few
 
 
 @njit(cache=True, nogil=True)
 def _rim_range(
     windows: Windows, told: tuple[FloatArray, FloatArray], placed: Placed, few: BoolArray, begin: int, end: int
 ) -> None:
-    """As `draw_in`, of cells from `begin` to `end`; what is told of the points is `_in_order`."""
+    """As `draw_in`; told are points and normals by cell, (n, 6), and sums of what was measured before, (n + 1, 3)."""
     (cells, sigma), (shown, sums) = windows[:2], told
-    at, wide = begin_sweep(cells, begin), begin_sweep(cells, begin, _STRIP)
+    at, wide = begin_sweep(cells, cells.key[begin]), begin_sweep(cells, cells.key[begin], _STRIP)
     runs, out, total, room = np.empty((wide.shape[1], 2), np.int64), np.empty(3), np.empty(4), np.empty((6, 0))
     for c in range(begin, end):
-        _sum_window(cells, c, runs[: runs_within(cells, c, 1, at, runs)], sums, total)
+        _sum_window(cells, c, runs[: runs_within(cells, cells.key[c], 1, at, runs)], sums, total)
         count = 0
         for i in range(cells.begin[c], cells.begin[c + 1]):
             row = cells.order[i]
             if placed.pending[row] or _is_inside(total, placed.normal[row], cells.width):
                 continue
             if count == 0:
-                around = runs[: runs_within(cells, c, _STRIP, wide, runs)]
+                around = runs[: runs_within(cells, cells.key[c], _STRIP, wide, runs)]
                 count = count_in(around)
                 room = room if count <= room.shape[1] else np.empty((6, 2 * count))
                 _bring(shown, around, room)
@@ -122,14 +109,10 @@ def _bring(shown: FloatArray, runs: IntArray, room: FloatArray) -> None:
 def _outwards(
     room: FloatArray, number: int, own: FloatArray, limits: tuple[float, float], out: FloatArray
 ) -> tuple[int, bool]:
-    """Write the direction from the middle of the surface around a point to it; its points, and if it ends there.
+    """Write the direction `out` from the middle of the surface around a point to it; its points, and if it ends there.
 
-    Args:
-        room: The points about it, and their normals, shape (6, …).
-        number: How many they are.
-        own: The point and its normal, shape (6,).
-        limits: How far off its plane, and how far away, they are of its surface [m].
-        out: Written, shape (3,).
+    So many are in the `room`, by place and normal, as the point's `own`. The `limits` are how far off its plane, and
+    how far away, they are of its surface [m].
     """
     x, y, z = room[0, :number], room[1, :number], room[2, :number]
     u, v, w = room[3, :number], room[4, :number], room[5, :number]

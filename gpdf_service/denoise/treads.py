@@ -13,6 +13,7 @@ not.
 
 from __future__ import annotations
 
+from itertools import product
 from math import cos, erf, exp, log, pi, sin, sqrt
 from typing import NamedTuple
 
@@ -96,12 +97,8 @@ class Treads(NamedTuple):
 def look_for_treads(points: FloatArray, noise: float, slope: FloatArray, floor: float, ceiling: float) -> Treads | None:
     """Treads that may explain `points`, shape (n, 3) [m], about the origin; none where a regular flight is no likelier.
 
-    Args:
-        points: Ground, as it was measured, of one flight with some of the level ground at its ends.
-        noise: Standard deviation of the points [m].
-        slope: The ramp that they look like, z = a x + b y + c, shape (3,).
-        floor: Height of the lowest tread [m], about.
-        ceiling: Height of the highest [m], about.
+    They are ground, as it was measured with that `noise` [m], of one flight with some of the level ground at its ends,
+    and look like the ramp z = a x + b y + c of this `slope`, shape (3,), from about the `floor` to the `ceiling` [m].
     """
     mixed = np.random.default_rng(0).permutation(len(points))
     some = points[mixed[:_TRIED]]
@@ -143,11 +140,15 @@ def log_density(points: FloatArray, treads: Treads) -> FloatArray:
 def _starts(points: FloatArray, noise: float, slope: FloatArray, floor: float, ceiling: float) -> list[Treads]:
     """The likeliest of the regular flights along the ramp."""
     steep, angle = float(np.hypot(slope[0], slope[1])), float(np.arctan2(slope[1], slope[0]))
-    ramp, ends = (steep, float(slope[2])), (floor, ceiling)
-    likely = _try_regular(points, angle, ramp, ends, noise)
-    order = np.argsort(-likely, axis=None, kind="stable")[:_REFINED]
-    best = [divmod(int(one), _PHASES) for one in order if likely.flat[one] > -np.inf]
-    return [Treads(angle, *_regular_flight(rise, phase, ramp, ends), noise) for rise, phase in best]
+    tried = []
+    for rise, phase in product(_RISES, range(_PHASES)):
+        share = phase / _PHASES
+        steps = np.arange(np.ceil(floor / rise - share - 1.0), np.floor(ceiling / rise - share) + 1.0)
+        heights = (steps + share + 0.5) * rise
+        treads = Treads(angle, (heights[1:] - 0.5 * rise - slope[2]) / steep, heights, noise)
+        if len(treads.edges) >= _FEWEST_EDGES:
+            tried.append((float(log_density(points, treads).sum()), treads))
+    return [treads for _, treads in sorted(tried, key=lambda one: -one[0])[:_REFINED]]
 
 
 def _refined(points: FloatArray, treads: Treads, noise: float) -> tuple[Treads, float]:
@@ -193,10 +194,12 @@ def _regular(fisher: FloatArray) -> FloatArray:
 def _clearly(points: FloatArray, treads: Treads) -> bool:
     """Whether they gain over a slope what such treads would."""
     u, _ = treads.along(points)
-    rng = np.random.default_rng(0)
-    drawn = [np.column_stack([points[:, :2], _drawn(u, treads, rng)]) for _ in range(_DRAWS)]
-    expected = float(np.mean([_gain_over_slope(one, treads) for one in drawn]))
-    return _gain_over_slope(points, treads) >= max(_GAIN * expected, _SURELY + 2.0 * len(treads.edges))
+    rng, gains = np.random.default_rng(0), []
+    for _ in range(_DRAWS):
+        off, error = rng.normal(0.0, treads.sigma, len(u)), rng.normal(0.0, treads.sigma, len(u))
+        gains.append(_gain_over_slope(np.column_stack([points[:, :2], treads.height_at(u + off) + error]), treads))
+    least = max(_GAIN * float(np.mean(gains)), _SURELY + 2.0 * len(treads.edges))
+    return _gain_over_slope(points, treads) >= least
 
 
 def _gain_over_slope(points: FloatArray, treads: Treads) -> float:
@@ -212,13 +215,6 @@ def _gain_over_slope(points: FloatArray, treads: Treads) -> float:
     smooth = terms @ np.linalg.solve(_regular(terms.T @ terms), terms.T @ z)  # by QR it took 300 times as long
     rest = float(((z - smooth) ** 2).mean())
     return float(log_density(points, treads).sum()) + 0.5 * len(z) * (log(2.0 * pi * rest) + 1.0)
-
-
-def _drawn(u: FloatArray, treads: Treads, rng: np.random.Generator) -> FloatArray:
-    """Heights that points measured at u along the way up would have."""
-    true = u + rng.normal(0.0, treads.sigma, len(u))
-    heights: FloatArray = treads.height_at(true) + rng.normal(0.0, treads.sigma, len(u))
-    return heights
 
 
 def _uneven(points: FloatArray, treads: Treads) -> float:
@@ -246,28 +242,9 @@ def _errors(group: IntArray, values: FloatArray) -> FloatArray:
     return errors
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _phi(t: float) -> float:
     return 0.5 * (1.0 + erf(t * 0.7071067811865476))
-
-
-@lean()
-def _density_at(u: float, z: float, edges: FloatArray, heights: FloatArray, sigma: float) -> tuple[float, float, float]:
-    """Density of a height [1/m], that times what it is over its treads in σ, and how it grows as edges move on in σ."""
-    peak = 1.0 / (sqrt(2.0 * pi) * sigma)
-    p, mean, slope, before, last = _OUTLIER / sigma, 0.0, 0.0, 1.0, 0.0
-    for k in range(np.searchsorted(edges, u - _NEAR * sigma), len(heights)):
-        beyond = k == len(edges) or edges[k] >= u + _NEAR * sigma
-        r = 0.0 if beyond else (u - edges[k]) / sigma
-        after, bell = (0.0, 0.0) if beyond else (_phi(r), exp(-0.5 * r * r))
-        t = (z - heights[k]) / sigma
-        g = peak * exp(-0.5 * t * t)
-        p, mean = p + (before - after) * g, mean + (before - after) * g * t
-        slope += (last - bell) * g
-        if beyond:
-            break
-        before, last = after, bell
-    return p, mean, slope
 
 
 @njit(cache=True, nogil=True)
@@ -276,45 +253,23 @@ def _likelihood(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Log density of each point's height, what it is over its treads in σ, and how it pulls at edges; (n,) each."""
     density, off, push = np.empty(len(points)), np.empty(len(points)), np.empty(len(points))
-    c, s = cos(angle), sin(angle)
+    c, s, peak = cos(angle), sin(angle), 1.0 / (sqrt(2.0 * pi) * sigma)
     for i in range(len(points)):
-        u = c * points[i, 0] + s * points[i, 1]
-        p, mean, slope = _density_at(u, points[i, 2], edges, heights, sigma)
+        u, z = c * points[i, 0] + s * points[i, 1], points[i, 2]
+        p, mean, slope, before, last = _OUTLIER / sigma, 0.0, 0.0, 1.0, 0.0
+        for k in range(np.searchsorted(edges, u - _NEAR * sigma), len(heights)):
+            beyond = k == len(edges) or edges[k] >= u + _NEAR * sigma
+            r = 0.0 if beyond else (u - edges[k]) / sigma
+            after, bell = (0.0, 0.0) if beyond else (_phi(r), exp(-0.5 * r * r))
+            t = (z - heights[k]) / sigma
+            g = peak * exp(-0.5 * t * t)
+            p, mean = p + (before - after) * g, mean + (before - after) * g * t
+            slope += (last - bell) * g
+            if beyond:
+                break
+            before, last = after, bell
         density[i], off[i], push[i] = log(p), mean / p, slope / p
     return density, off, push
-
-
-@njit(cache=True, nogil=True)
-def _regular_flight(
-    rise: int, phase: int, ramp: tuple[float, float], ends: tuple[float, float]
-) -> tuple[FloatArray, FloatArray]:
-    """Edges and heights [m] of the flight of one of `_RISES` along a ramp, of a slope and a height at the origin [m].
-
-    From the floor to the ceiling that are its `ends` [m]; the phase is one of `_PHASES`.
-    """
-    step, share = _RISES[rise], phase / _PHASES
-    first, last = np.ceil(ends[0] / step - share - 1.0), np.floor(ends[1] / step - share)
-    heights = (np.arange(first, last + 1.0) + share + 0.5) * step
-    return (heights[1:] - 0.5 * step - ramp[1]) / ramp[0], heights
-
-
-@njit(cache=True, nogil=True)
-def _try_regular(
-    points: FloatArray, angle: float, ramp: tuple[float, float], ends: tuple[float, float], sigma: float
-) -> FloatArray:
-    """Log likelihood of each `_regular_flight`, shape (rises, phases), -inf of one with too few edges."""
-    likely, c, s = np.full((len(_RISES), _PHASES), -np.inf), cos(angle), sin(angle)
-    for rise in range(len(_RISES)):
-        for phase in range(_PHASES):
-            edges, heights = _regular_flight(rise, phase, ramp, ends)
-            if len(edges) < _FEWEST_EDGES:
-                continue
-            total = 0.0
-            for i in range(len(points)):
-                u = c * points[i, 0] + s * points[i, 1]
-                total += log(_density_at(u, points[i, 2], edges, heights, sigma)[0])
-            likely[rise, phase] = total
-    return likely
 
 
 @njit(cache=True, nogil=True)

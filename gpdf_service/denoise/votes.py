@@ -101,12 +101,7 @@ def collect(windows: Windows, near: IntArray, votes: FloatArray) -> int:
 
 @lean()
 def add_vote(
-    plane: Float32Array,
-    offset: tuple[float, float, float],
-    width: float,
-    sigma: float,
-    votes: FloatArray,
-    count: int,
+    plane: Float32Array, offset: tuple[float, float, float], width: float, sigma: float, votes: FloatArray, count: int
 ) -> int:
     """Add the vote of one of `Planes` for a cell of that `width` to the first `count`; how many they are then.
 
@@ -172,10 +167,7 @@ def cluster(room: Room, count: int, width: float, sigma: float) -> int:
 
 @lean()
 def _without_empty(of: IntArray, found: FloatArray, kinds: int) -> int:
-    """Drop planes whose votes all agree with a heavier one, or with none, and number the rest anew; how many they are.
-
-    Two votes that point far apart can have a mean which neither agrees with.
-    """
+    """Drop planes whose votes all agree with a heavier one, or none, and number the rest anew; how many they are."""
     kept = 0
     for kind in range(kinds):
         if found[kind, 4] == 0.0:

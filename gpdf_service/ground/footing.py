@@ -36,7 +36,8 @@ def bridged(surface: HeightMap, max_step: float) -> HeightMap:
     flight = known & flights(surface, max_step)
     if not flight.any():
         return surface
-    disc = _disc(rings_of(SOLE, surface.cell_width))
+    rings = rings_of(SOLE, surface.cell_width)
+    disc = np.hypot(*np.mgrid[-rings : rings + 1, -rings : rings + 1]) <= rings + 0.5
     dilated = np.where(known, ndimage.maximum_filter(_without_ridges(surface, flight), footprint=disc), np.inf)
     closed = np.fmax(surface.height, ndimage.minimum_filter(dilated, footprint=disc))
     return replace(surface, height=np.where(flight, closed, surface.height).astype(np.float32))
@@ -55,14 +56,10 @@ def ridges(surface: HeightMap, max_step: float, pits: Float32Array, drops: BoolA
     """Cells of flights that are over their `footholds`, shape (nx, ny), and as many in one piece as a tread is deep.
 
     They are stringers, and tips of treads at a free side; a single cell is a smear of what stands beside. Beside a
-    stringer, the gap between two flights is no foothold, however narrow, nor is that through which a room beneath was
-    seen.
+    stringer, the gap between two flights is no foothold, nor is that through which a room beneath was seen.
 
-    Args:
-        surface: The ground.
-        max_step: As for `bridged`.
-        pits: Height of the ground before it was `bridged` [m], shape (nx, ny), NaN where it was not seen.
-        drops: Unknown cells under which something was seen deeper than a step, shape (nx, ny).
+    The `pits` are the ground before it was `bridged` [m], NaN where it was not seen, the `drops` unknown cells under
+    which something was seen deeper than a step, shape (nx, ny) each.
     """
     beside = np.where(drops & (surface.state == UNKNOWN), _DROP, pits)
     flight = _flight_and_stride(surface, max_step)
@@ -82,9 +79,8 @@ def _without_ridges(surface: HeightMap, flight: BoolArray, beside: Float32Array 
     """The ground [m], -inf where unknown; that of a `flight`, (nx, ny), without what is narrower than a foot, (nx, ny).
 
     A ridge is narrower than `SOLE` in some direction, and over all that is to either side within a foot's length by
-    more than a tread is rough. What is more than a step higher is no side of it, but another flight's. A nose is none,
-    whatever dip or shadow is behind it: the tread goes on there. So where heights `beside` it are given [m], which
-    show the room behind a shadow, too, the way up is along the ridge.
+    more than a tread is rough, but for what is a step higher. A nose is none: where heights `beside` it are given [m],
+    which show the room behind a shadow, too, the way up must be along the ridge.
     """
     made = np.where(surface.state != UNKNOWN, surface.height, np.float32(-np.inf))
     cells = np.flatnonzero(flight & np.isfinite(made))
@@ -116,10 +112,9 @@ def _lower_ridges(ground: Cells, beside: Float32Array, along: bool, cells: IntAr
 
 @njit(cache=True, nogil=True)
 def _falls_aside(height: Float32Array, ground: Cells, at: tuple[int, int]) -> bool:
-    """Whether the ground falls off beside a flight, and not behind a tread: less than 45° across its way up.
+    """Whether ground more than a step lower within a foot's length lies beside a flight, under 45° across its way up.
 
-    It falls off towards the middle of what lies more than a step lower within a foot's length. The way up is that of
-    the plane through the treads on the other side, but for what is narrower than a foot.
+    The way up is that of the plane through the treads on the other side, but for what is narrower than a foot.
     """
     reach, (x, y), own = rings_of(STRIDE, ground.width), at, ground.height[at]
     rows, columns = 0.0, 0.0
@@ -187,11 +182,7 @@ def on_treads(z: FloatArray, cell: IntArray, surface: HeightMap, max_step: float
     makes rough, or the next. At a flight's side, where no ground goes on within a sole, stands its stringer: there
     nothing is of a tread. A tread is `is_tread` within a stride.
 
-    Args:
-        z: Heights of the points [m], shape (m,).
-        cell: Their flat cells, shape (m,).
-        surface: The ground.
-        max_step: Highest step that the body takes [m].
+    The points have heights z [m] and flat cells, shape (m,) each. The body takes steps up to `max_step` [m].
     """
     found, width = np.zeros(len(z), dtype=bool), surface.cell_width
     height = np.where(surface.state != UNKNOWN, surface.height, np.float32(np.nan))
@@ -249,10 +240,7 @@ def ends_around(height: Float32Array, x: int, y: int, rings: int) -> tuple[float
 def crosses_flight(path: FloatArray, surface: HeightMap, radius: float) -> bool:
     """Whether a body on a path is over a tread of this ground as `on_treads` means it: on a flight, or a steep ramp.
 
-    Args:
-        path: Contact points [m], shape (n, 3).
-        surface: The ground of one level; only what lies on it counts.
-        radius: Of the disc that the body is within [m].
+    Contact points of the `path` [m], (n, 3), count where they lie on this level. A disc of that `radius` [m] holds it.
     """
     stride = rings_of(STRIDE, surface.cell_width)
     return bool(_crosses_flight(path, surface.arrays, surface.ends, 0.5 * radius, stride))
@@ -307,9 +295,3 @@ def ridges_reach(surface: HeightMap) -> int:
 def rings_of(length: float, width: float) -> int:
     """How many cells of that `width` a `length` is, at least one."""
     return max(1, int(length / width))
-
-
-def _disc(rings: int) -> BoolArray:
-    offset = np.arange(-rings, rings + 1)
-    disc: BoolArray = np.hypot(*np.meshgrid(offset, offset)) <= rings + 0.5
-    return disc

@@ -64,14 +64,9 @@ NO_LIMITS = GroundLimits(np.zeros((0, 3)), np.zeros(0, np.uint8), np.zeros(0))
 def find_limits(
     surface: HeightMap, material: BoolArray, measured: Measured, ridge: BoolArray, cells: BoolArray
 ) -> GroundLimits:
-    """Find the limits of one piece of ground.
+    """Limits of a piece of ground in some `cells`; its `material` holds other points, shape (nx, ny) each.
 
-    Args:
-        surface: The ground.
-        material: Cells that hold other points, shape (nx, ny).
-        measured: Its `step_and_slope`.
-        ridge: Its `ridges`, shape (nx, ny).
-        cells: Which are asked about, shape (nx, ny).
+    It is `measured` by `step_and_slope`, its `ridge` by `ridges`.
     """
     box = rows, columns = window(cells, 1)
     cells, height, known = cells[box], surface.height[box].astype(np.float64), surface.state[box] != UNKNOWN
@@ -79,8 +74,8 @@ def find_limits(
     told = (
         (ObstacleKind.STEP, known & (step > LEAST_STEP), height, step),
         (ObstacleKind.SLOPE, known & (slope > 0.0), height, slope),
-        (ObstacleKind.UNKNOWN, ~known & ~material[box] & (beside > -np.inf), beside, _NEVER),
-        (ObstacleKind.MATERIAL, ridge[box], height, _NEVER),
+        (ObstacleKind.UNKNOWN, ~known & ~material[box] & (beside > -np.inf), beside, np.inf),
+        (ObstacleKind.MATERIAL, ridge[box], height, np.inf),
     )
     points, kinds, values = [], [], []
     for kind, where, z, value in told:
@@ -90,10 +85,6 @@ def find_limits(
         kinds.append(np.full(len(x), kind, np.uint8))
         values.append(np.broadcast_to(value, cells.shape)[at])
     return GroundLimits(*map(np.concatenate, (points, kinds, values)))
-
-
-_NEVER = np.array(np.inf)
-"""Limit of what no body takes."""
 
 
 def limits_reach(surface: HeightMap) -> int:
@@ -145,10 +136,7 @@ def step_and_slope(surface: HeightMap, asked: BoolArray | None = None) -> Measur
 
 
 def _is_narrow_tread(height: Float32Array, width: float, axis: int) -> BoolArray:
-    """Cells between two risers of a stair along an axis, with level ground beyond either, shape (nx, ny).
-
-    In cells over a third of a tread wide, a tread whose noses a scan has worn shows in one.
-    """
+    """Cells between two risers of a stair along an axis, with level ground beyond either: a tread that shows in one."""
     beyond, level = [_shift(height, by, axis) for by in (-2, -1, 1, 2)], width * np.tan(STANDABLE)
     up, down = beyond[1] - height, height - beyond[2]
     one_way = (np.minimum(up, down) > level) | (np.maximum(up, down) < -level)  # a NaN compares false
@@ -161,8 +149,7 @@ def _is_narrow_tread(height: Float32Array, width: float, axis: int) -> BoolArray
 def _slanted(surface: HeightMap, slope: FloatArray) -> FloatArray:
     """Rise of the step whose slanted face each cell is on [m], inf where it is on none, shape (nx, ny).
 
-    Such a cell is steeper than anybody stands on, a foot can stand above it and below it, and the two places are no
-    further apart than a stride: the worn tread of a stair, a kerb that a scan has smeared, a short bank.
+    It is too steep to stand on, between places for a foot above and below, at most a stride apart: a worn tread.
     """
     level = slope <= STANDABLE
     need = int(np.ceil(HALF_FOOT / surface.cell_width**2 - 1e-6))
@@ -246,10 +233,7 @@ _ABREAST = 64
 def _medians(
     values: FloatArray, window: tuple[int, IntArray], wanted: BoolArray, begin: int, end: int, made: FloatArray
 ) -> None:
-    """The medians of some rows: what is unknown comes last in order.
-
-    The `window` is its reach and its network.
-    """
+    """The medians of some rows, by a window's reach and network: what is unknown comes last in order."""
     (nx, ny), (reach, network) = values.shape, window
     size = (2 * reach + 1) ** 2
     around, known = np.zeros((size, _ABREAST)), np.zeros(_ABREAST, np.int64)
@@ -296,9 +280,6 @@ def _rises_beside(values: NDArray[np.floating], by: int, axis: int) -> tuple[Flo
 
 def _shift(values: NDArray[np.floating], by: int, axis: int) -> FloatArray:
     """Values moved by `by` cells along `axis`; NaN comes in at the rim."""
-    moved = np.full(values.shape, np.nan)
-    to, source = [slice(None)] * 2, [slice(None)] * 2
-    to[axis] = slice(max(by, 0), values.shape[axis] + min(by, 0))
-    source[axis] = slice(max(-by, 0), values.shape[axis] - max(by, 0))
-    moved[tuple(to)] = values[tuple(source)]
+    moved = np.roll(values, by, axis).astype(np.float64, copy=False)
+    moved.swapaxes(0, axis)[slice(by, None) if by < 0 else slice(by)] = np.nan
     return moved

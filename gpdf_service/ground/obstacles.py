@@ -101,11 +101,7 @@ def obstacles_felt(touched: BoolArray, was: HeightMap, surface: HeightMap, agent
 
     As far as ground tells of treads it decides only where there is some, now or before: see `is_tread`.
 
-    Args:
-        touched: Cells in which anything of the level is other.
-        was: The ground before.
-        surface: The ground.
-        agent: The body.
+    In the `touched` ones something of the level is other than it `was`.
     """
     body, shut, tread = _rings(surface, agent)
     return widened(touched, shut + body) | widened(by_treads(touched, tread, (was, surface), 1), shut)
@@ -141,8 +137,7 @@ def _material(level: GroundLevel, agent: Agent, scan: Scan) -> BoolArray:
 def _over_head(points: FloatArray, surface: HeightMap, stands: BoolArray, agent: Agent, tall: float) -> BoolArray:
     """Which points, (m, 3), a body as `tall` [m] touches that `stands` anywhere in these cells, shape (nx, ny).
 
-    On a flight it rises as its foot comes onto a tread: its centre is then half a foot's length past the nose. So where
-    a lower tread is that near, towards the point, the foot is still on that.
+    On a flight it rises with its centre half a foot's length past a nose: nearer, its foot is on the lower tread.
     """
     hit = np.zeros(len(points), dtype=bool)
     limits = agent.cylinder.radius, tall, agent.max_step, rings_of(STRIDE, surface.cell_width)
@@ -154,10 +149,7 @@ def _over_head(points: FloatArray, surface: HeightMap, stands: BoolArray, agent:
 def _heads(
     points: FloatArray, ground: Cells, stands: BoolArray, limits: tuple[float, float, float, int], hit: BoolArray
 ) -> None:
-    """The body stands where its cell is nearest to the point; how far the edge is, is known to half a cell.
-
-    The `limits` are its radius, its height and its step [m], and a stride in cells.
-    """
+    """See `_over_head`; the `limits` are the body's radius, its height and its step [m], and a stride in cells."""
     (nx, ny), width, height, (radius, tall, max_step, stride) = stands.shape, ground.width, ground.height, limits
     rings = int(radius / width) + 1
     for m in range(len(points)):
@@ -181,12 +173,9 @@ def _heads(
 def _is_face(level: GroundLevel, rows: IntArray, cell: IntArray, max_step: float, scan: Scan) -> BoolArray:
     """Which points in these `rows` belong to the ground: its scatter, or the face of a step that the body takes.
 
-    A face lies between two pieces of ground, the upper one beside it and no lower than it, the lower one not far: noise
-    moves a point off its face by some deviations. Cells can be wider than a tread, so the upper one must be a point of
-    the ground right beside; or inferred, as a tread in a shadow is, which has no scatter of its own. Ground that is no
-    step over any other is no upper one: what stands on a floor is not the floor's face, however low it is.
-    Where points are centres of voxels, one that is as high as the ground in a cell beside is of that ground.
-    On a flight, where noses and wear make treads rough, `on_treads` tells.
+    A face lies between two pieces of ground, the upper one right beside it and no lower than it, the lower one not far.
+    The upper one is a point of the ground, for cells can be wider than a tread, or inferred; and a step over some:
+    what stands on a floor is not the floor's face. On a flight, where treads are rough, `on_treads` tells.
     """
     surface, noise = level.surface, scan.noise
     known = np.where(surface.state != UNKNOWN, surface.height, np.float32(np.nan))
@@ -201,16 +190,10 @@ def _is_face(level: GroundLevel, rows: IntArray, cell: IntArray, max_step: float
 
 
 class _Beside(NamedTuple):
-    """What the ground beside a point tells of it.
+    """What the ground beside a point tells of it: heights [m], NaN where unknown, and what is inferred, (nx, ny) each.
 
-    Attributes:
-        known: Height of each cell [m], NaN where it is unknown, shape (nx, ny).
-        inferred: Which of them nobody has seen, shape (nx, ny).
-        narrow: Whether the inferred cells around a point's own one are as near as a step's top to its face.
-        voxels: Whether points are centres of voxels.
-        rings: Cells that a point of a face may lie from the ground over or under it.
-        max_step: Highest step that the body takes [m].
-        noise: Standard deviation of the points [m].
+    If cells are `narrow`, inferred ones around a point's own are as near as a step's top to its face. A point of a face
+    may lie `rings` cells from the ground over or under it.
     """
 
     known: Float32Array
@@ -244,10 +227,7 @@ def _faces(rows: IntArray, other: tuple[FloatArray, IntArray, Float32Array], tol
 
 @lean()
 def _ledge_beside(told: _Beside, x: int, y: int, z: float, least: float, ledge: float) -> float:
-    """The `ledge` of a point at the height z, or the lowest ground of a cell beside that is its upper one, too [m].
-
-    That is ground at `least` so high, a tread in a shadow, or where points are voxels.
-    """
+    """The `ledge` of a point at z, or ground at `least` so high beside, of a tread in a shadow, or of a voxel [m]."""
     for i in range(max(x - 1, 0), min(x + 2, told.known.shape[0])):
         for j in range(max(y - 1, 0), min(y + 2, told.known.shape[1])):
             beside, near = float(told.known[i, j]), told.narrow or (i == x and j == y)

@@ -32,12 +32,7 @@ _BULK = (1.0, 99.0)
 def check_grid(points: FloatArray, count: int, width: float, each: float, config: PerceptionConfig) -> None:
     """Refuse a grid over the points that takes more than the budget and what the cloud's points may ask for.
 
-    Args:
-        points: What the grid is over [m], shape (k, 3).
-        count: Points of the whole cloud.
-        width: Of its cells [m].
-        each: What a cell takes [bytes].
-        config: The budget.
+    The points [m], shape (k, 3), are of a cloud of `count`. Cells have that `width` [m] and take `each` so many bytes.
 
     Raises:
         TooLargeError: it would take more.

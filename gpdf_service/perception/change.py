@@ -14,10 +14,9 @@ import numpy as np
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.ground import Levels, Touched
-from gpdf_service.perception.cloud import Cloud, WholeError
+from gpdf_service.perception.cloud import Cloud, WholeError, find_strays
 from gpdf_service.perception.levels import Survey, alone, change_levels
 from gpdf_service.perception.segment import Segmentation, change_segmentation
-from gpdf_service.perception.strays import find_strays
 from gpdf_service.tiles.points import Points
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 

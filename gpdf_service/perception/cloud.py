@@ -1,4 +1,4 @@
-"""A cloud, and where it is another than in the version before."""
+"""A cloud, where it is another than in the version before, and which of its points are reflections."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpdf_service.config import PerceptionConfig
+from gpdf_service.fields.order import corners_of
+from gpdf_service.fields.threads import run_chunked
 from gpdf_service.tiles.boxes import widened, window
 from gpdf_service.tiles.layers import Layers, build_layers, grid_of, same_nodes, splice_layers
 from gpdf_service.tiles.points import Points
+from gpdf_service.tiles.rows import is_among
 from gpdf_service.tiles.surface import HeightMap
 from gpdf_service.tiles.width import layer_gap
 from gpdf_service.types import BoolArray, FloatArray
@@ -47,10 +50,8 @@ class Cloud:
 
     def chosen(self, grid: Layers | HeightMap, wanted: BoolArray, kind: BoolArray) -> FloatArray:
         """The points of a `kind`, shape (n,), in the `wanted` cells of a grid, (nx, ny)."""
-        if wanted.all():
-            return self.points.taken(np.flatnonzero(kind))
-        rows = self.points.rows_in_cells(np.asarray(grid.origin, np.float64), grid.cell_width, wanted, kind)
-        return self.points.taken(rows)
+        own = np.asarray(grid.origin, np.float64), grid.cell_width, wanted, kind
+        return self.points.taken(np.flatnonzero(kind) if wanted.all() else self.points.rows_in_cells(*own))
 
 
 def change_layers(
@@ -78,3 +79,29 @@ def change_layers(
     own = cloud.chosen(layers, cells, chosen)
     fresh = build_layers(own, width, layer_gap(width, config), like=layers) if len(own) else None
     return layers if same_nodes(layers, cells, fresh) else splice_layers(layers, cells, fresh), cells
+
+
+def find_strays(points: FloatArray, width: float) -> BoolArray:
+    """Which points (n, 3) have no other in their voxel of `width` [m] or in the 26 around it, shape (n,)."""
+    stray, key = np.zeros(len(points), dtype=bool), np.empty(len(points), np.int64)
+    if len(points) == 0:
+        return stray
+    low, high = (np.floor(corner / width) for corner in corners_of(points))
+    ny, nz = (int(n) for n in (high - low)[1:] + 2.0)  # a voxel at each end is empty: none is beside a row's last one
+    strides = np.array([ny * nz, nz, 1])
+
+    def tell(a: int, b: int) -> None:  # counted from the frame's origin, so that a part of a cloud has the same voxels
+        key[a:b] = (np.floor(points[a:b] / width) - low).astype(np.int64) @ strides
+
+    run_chunked(tell, len(points))
+    held, count = np.unique(key, return_counts=True)
+    alone = held[count == 1]
+    for beside in (np.indices((3, 3, 3)).reshape(3, -1).T - 1) @ strides:
+        if beside != 0:
+            alone = alone[~is_among(alone + beside, held)]
+
+    def mark(a: int, b: int) -> None:
+        stray[a:b] = is_among(key[a:b], alone)
+
+    run_chunked(mark, len(points))
+    return stray

@@ -112,12 +112,8 @@ def _no_holes(grid: Grid, surface: HeightMap, near: Nearest, voids: Voids) -> Bo
 def standing(beside: Float32Array, lowest: FloatArray, cell: IntArray, z: FloatArray, cell_width: float) -> Material:
     """Cells with points under a ceiling's height; where all lie as high as the ground `beside`; where some lie over it.
 
-    Args:
-        beside: Height of the nearest seen ground [m], shape (nx, ny).
-        lowest: Of the other points in each cell [m], inf where there is none, shape (nx, ny).
-        cell: Flat cell of each other point, shape (m,).
-        z: Its height [m].
-        cell_width: A cell's slope from the ground beside is at its height [m].
+    The nearest seen ground is that high `beside` [m], (nx, ny). Each other point, by its flat `cell`, shape (m,), has a
+    height `z` [m]; `lowest` is that of each cell, inf where there is none. What is off by a `cell_width` is as high.
     """
     ground = beside.astype(np.float64)
     over = extent_within(cell, z, ground + cell_width, under(ground + CEILING))[0]
@@ -130,12 +126,8 @@ def fill_faces(surface: HeightMap, lowest: FloatArray, cell: IntArray, z: FloatA
 
     All points of the cell are between the ground on both sides of it. On the level they may be a thing's foot.
 
-    Args:
-        surface: After `fill_holes`.
-        lowest: Of the other points in each cell [m], inf where there is none, shape (nx, ny).
-        cell: Flat cell of each other point, shape (m,).
-        z: Its height [m].
-        max_step: No face is higher [m].
+    Each other point, by its flat `cell`, shape (m,), has a height `z` [m]; `lowest` is that of each cell, inf where
+    there is none, shape (nx, ny). No face is higher than `max_step` [m].
     """
     known = surface.state != UNKNOWN
     low = lowest_around(np.where(known, surface.height, np.float32(np.inf)), 1)

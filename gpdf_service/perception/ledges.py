@@ -86,9 +86,9 @@ def _count_beside(points: FloatArray, edge: FloatArray, noise: float, radius: fl
 @njit(cache=True, nogil=True)
 def _count_range(cells: Cells, above: FloatArray, radius: float, counts: IntArray, begin: int, end: int) -> None:
     """As `_count_beside`; how high `above` zero points and edges, NaN of those not asked, are in deviations, (2, n)."""
-    (z, edge), runs, at = above, np.empty((9, 2), np.int64), begin_sweep(cells, begin)
+    (z, edge), runs, at = above, np.empty((9, 2), np.int64), begin_sweep(cells, cells.key[begin])
     for c in range(begin, end):
-        around = runs[: runs_within(cells, c, 1, at, runs)]
+        around = runs[: runs_within(cells, cells.key[c], 1, at, runs)]
         for i in range(cells.begin[c], cells.begin[c + 1]):
             row = cells.order[i]
             if np.isnan(edge[row]):

@@ -14,7 +14,7 @@ from gpdf_service.ground import GroundLevel, Levels, Portal
 from gpdf_service.ground.footing import FLIGHT_RISE, ridges, ridges_reach
 from gpdf_service.ground.limits import Measured, limits_reach, step_and_slope
 from gpdf_service.perception.budget import KEPT_BYTES, LEVEL_BYTES, check_grid, give_back
-from gpdf_service.perception.cloud import Cloud, change_layers
+from gpdf_service.perception.cloud import Cloud, change_layers, find_strays
 from gpdf_service.perception.complete import complete
 from gpdf_service.perception.ledges import ground_reach, ledge_reach, ledges_felt
 from gpdf_service.perception.others import Others, find_ledges_in, find_others, held_in
@@ -23,7 +23,6 @@ from gpdf_service.perception.seen import part_of, sheet_surface
 from gpdf_service.perception.segment import LEAST_SCATTER
 from gpdf_service.perception.sheets import split_sheets
 from gpdf_service.perception.site import Made, Part, Site
-from gpdf_service.perception.strays import find_strays
 from gpdf_service.perception.voids import Voids
 from gpdf_service.tiles.beside import Beside, beside, beside_now
 from gpdf_service.tiles.boxes import Box, widened

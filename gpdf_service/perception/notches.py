@@ -69,12 +69,8 @@ def fill_notches(
     and at a riser: an open one shows the room beneath. A tread that is closed up to the next one is seen as wide as a
     sole: of those that are seen from below the noses are, and nobody has seen more.
 
-    Args:
-        surface: The ground.
-        bitten: Its heights with `fill_bites` [m], shape (nx, ny).
-        flight: Cells of flights and their landings, shape (nx, ny).
-        beneath: Cells under which something was seen, deeper than a step, shape (nx, ny).
-        config: Limits.
+    Cells are told, shape (nx, ny) each, of a `flight` and its landings, and those `beneath` which something was seen
+    deeper than a step; `bitten` are the heights with `fill_bites` [m].
     """
     width = surface.cell_width
     box = window(flight, notches_reach(surface, config))  # nothing else is filled, or tells what is

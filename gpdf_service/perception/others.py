@@ -1,4 +1,7 @@
-"""The other points of a level: what is not its ground and within reach over it, cell by cell."""
+"""The other points of a level: what is not its ground and within reach over it, cell by cell.
+
+Of a tread or a floor over head that was seen from above alone nobody knows how far down it reaches.
+"""
 
 from __future__ import annotations
 
@@ -12,25 +15,37 @@ from numpy.typing import NDArray
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.threads import run_beside, run_chunked
+from gpdf_service.ground.foot import LEAST_OBSTACLE
 from gpdf_service.ground.footing import flights, rings_of
 from gpdf_service.ground.level import OVERLAP, TALLEST, lowest_and_highest
 from gpdf_service.perception.cloud import Rows
 from gpdf_service.perception.ledges import find_ledges, ground_reach, ledge_reach
 from gpdf_service.perception.notches import FLIGHT
-from gpdf_service.perception.overhead import Columns, over_head, unseen_asks, unseen_beneath
 from gpdf_service.perception.site import Made, Site
 from gpdf_service.perception.voids import MAX_HOLE_RADIUS, find_rims, find_voids
-from gpdf_service.tiles.boxes import Box, widened, window
+from gpdf_service.tiles.boxes import Box, lowest_around, widened, window
 from gpdf_service.tiles.columns import by_cell, runs_of, starts_spliced, take_out, unlike_cells, values_spliced
-from gpdf_service.tiles.rows import INDEX, between, rows_by_cell, taken, under
+from gpdf_service.tiles.rows import INDEX, between, extent_within, rows_by_cell, taken, under
 from gpdf_service.tiles.surface import UNKNOWN, HeightMap, Nearest, cells_within, cropped
-from gpdf_service.tiles.told import Grid, boxes_of, grown
+from gpdf_service.tiles.told import Grid, boxes_of, grown, within
 from gpdf_service.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
 PICKED = 0.4
 """[-] Share of the cells of a cloud from which on all points are read: to pick one out takes as long as to read two."""
 Held = tuple[IntArray, FloatArray]
 """Flat cell and height [m] of each other point, shape (m,)."""
+
+
+class Columns(NamedTuple):
+    """Points in some cells: the box that holds these, flat cell in it, points (n, 3) [m], and which are ground.
+
+    Those of the cell after the last one are of none.
+    """
+
+    box: Box
+    cell: IntArray
+    points: FloatArray
+    ground: BoolArray
 
 
 class Others(NamedTuple):
@@ -43,11 +58,6 @@ class Others(NamedTuple):
     ledge: Float32Array
     first: IntArray
     unlike: BoolArray
-
-
-def _near_cells(high: FloatArray, width: float, config: PerceptionConfig) -> BoolArray:
-    """Cells whose points can tell a level anything, (nx, ny), by the `high` ground within `OVERLAP` of each [m]."""
-    return widened(np.isfinite(high), rings_of(config.widest_gap, width))
 
 
 def _read(site: Site, cells: BoolArray) -> BoolArray:
@@ -80,12 +90,13 @@ def find_others(site: Site, sheet: BoolArray, seen: HeightMap, near: Nearest, gr
     low, high, treads, rim = _span(grid, seen, config.max_step)
     beside = np.where(near.distance <= MAX_HOLE_RADIUS, near.height, np.float32(np.nan))
     own = grid.known["seen"].given[0], beside
-    asked, within = unseen_asks(grid, *own, width, config), _near_cells(high, width, config)
-    held = _columns_in(site, sheet, seen, asked, within)
-    hidden = unseen_beneath(grid, held, *own, width, config)
+    rings = rings_of(config.widest_gap, width)
+    asked, told = widened(grid.felt("treads", 0, *own, points=True), rings), widened(np.isfinite(high), rings)
+    held = _columns_in(site, sheet, seen, asked, told)
+    hidden = unseen_beneath(grid, held, *own, rings, config)
     given = *own, seen.height, low, high, treads, rim, hidden
     cells = grid.felt("voids", 0, *given, points=True)
-    box, cell, points, _ = held = held if asked.all() else _columns_in(site, sheet, seen, cells, within)
+    box, cell, points, _ = held = held if asked.all() else _columns_in(site, sheet, seen, cells, told)
     part, shown, z = cropped(seen, box), Nearest(near.distance[box], near.height[box]), points[:, 2]
     near_by, found = run_beside(
         partial(between, cell, z, under(low[box] - width), high[box] + TALLEST),
@@ -109,6 +120,44 @@ def _span(grid: Grid, seen: HeightMap, max_step: float) -> tuple[NDArray[Any], .
         return *lowest_and_highest(part), treads, find_rims(part)
 
     return grid.around("span", ceil(max(OVERLAP, FLIGHT) / seen.cell_width) + 3, answer, seen.height, seen.state)
+
+
+def over_head(floor: Float32Array, config: PerceptionConfig) -> FloatArray:
+    """What is over head over the `floor` [m], (nx, ny), is higher than this: it leaves the lowest body room anyhow."""
+    over = floor.astype(np.float64) + config.max_step + config.min_headroom
+    return np.where(np.isnan(floor), np.inf, over)
+
+
+def unseen_beneath(
+    grid: Grid, held: Columns, sheet: Float32Array, floor: Float32Array, rings: int, config: PerceptionConfig
+) -> BoolArray:
+    """Cells in which nobody saw an underside of ground over head, shape (nx, ny): it may be a step thick.
+
+    A flight is as deep under a tread as its riser and its waist, a floor as its slab: no more than `max_step`. An
+    underside, or the face of a rim, is a point within that under the lowest tread around; it is known, as ground is, as
+    far as `widest_gap`. Over head is what leaves the lowest body room even so.
+
+    `held` are the points in the cells that it asks. The `sheet`'s own ground, which holds none of these, and the
+    `floor` to stand on have heights [m], shape (nx, ny), NaN where there is none; `rings` of cells are `widest_gap`.
+    """
+    box, cell, points, ground = held
+    over, z, outer = over_head(floor[box], config), points[:, 2], grown(box, rings, floor.shape)
+    rows = np.flatnonzero(ground & (cell < over.size))  # of other sheets: few, or none
+    own, none = (cell[rows], z[rows]), np.full(over.shape, np.inf)
+    top = extent_within(*own, over, extent_within(*own, over, none)[0] + config.max_step)[1]  # a board is one tread
+    felt, top = grid.felt("treads", 0, sheet, floor, points=True), np.where(np.isfinite(top), top, np.inf)
+    (top,) = grid.put("treads", (sheet, floor), felt, [(box, (top,))] if felt.any() else [])
+    low, shown = lowest_around(top[outer], rings)[within(box, outer)], np.zeros(over.shape, dtype=bool)
+    if np.isfinite(low).any():
+        shown = np.isfinite(extent_within(cell, z, low - config.max_step, under(low - LEAST_OBSTACLE))[0])
+    felt = grid.felt("undersides", rings, sheet, top, points=True)
+    (shown,) = grid.put("undersides", (sheet, top), felt, [(box, (shown,))] if felt.any() else [])
+
+    def answer(_: Box, top: FloatArray, shown: BoolArray) -> tuple[BoolArray]:
+        return (np.isfinite(lowest_around(top, rings)) & ~widened(shown, rings),)
+
+    (hidden,) = grid.around("unseen beneath", rings, answer, top, shown)
+    return hidden
 
 
 def _reaching_down(held: Columns, hidden: BoolArray, floor: Float32Array, config: PerceptionConfig) -> BoolArray:

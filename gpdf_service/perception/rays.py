@@ -104,8 +104,8 @@ def seen_by_rays(filled: HeightMap, rays: Rays, config: PerceptionConfig, noise:
     if not asked.any():
         return filled
     room, edge = _steps_beside(filled, asked, config)
-    before = max(2.0 * filled.cell_width, ENDS_BEFORE * noise)
-    passed, fell = _follow(_grid_of(filled, asked, room), rays, before, config.max_step)
+    grid = _grid_of(filled, asked, room, max(2.0 * filled.cell_width, ENDS_BEFORE * noise))
+    passed, fell = _follow(grid, rays, config.max_step)
     beside = ndimage.minimum_filter(filled.state == OBSERVED, footprint=SIDES, mode="constant")
     shown = (passed >= ENOUGH) | beside | _blind_spots(filled, asked, rays)
     return without(filled, asked & (~shown | _of_one_hole(filled, asked, fell & ~edge, LOW * config.min_headroom)))
@@ -123,37 +123,40 @@ def _of_one_hole(surface: HeightMap, asked: BoolArray, cells: BoolArray, apart: 
     return made
 
 
-def _follow(grid: _Grid, rays: Rays, before: float, max_step: float) -> tuple[IntArray, BoolArray]:
+def _follow(grid: _Grid, rays: Rays, max_step: float) -> tuple[IntArray, BoolArray]:
     """How many rays passed low over each of the cells that are asked about, and into which one fell, both (nx, ny)."""
-    bounds = float(np.nanmin(grid.height)) - grid.width, float(np.nanmax(grid.top)), before
     sampled = max(1, len(rays.ends) // SAMPLE)
-    tiles = _tiles_along(rays, grid, bounds, sampled) * sampled
+    tiles = _tiles_along(rays, grid, sampled) * sampled
     every = max(1, int(np.ceil(tiles / (STEPS * max(len(rays.ends), 1)))))
-    counts, through = zip(
-        *run_parallel(lambda k: _cast(rays, grid, bounds, max_step, k * every, SHARES * every), range(SHARES)),
-        strict=True,
-    )
+    shares = run_parallel(lambda k: _cast(rays, grid, max_step, k * every, SHARES * every), range(SHARES))
+    counts, through = zip(*shares, strict=True)
     return np.sum(counts, axis=0, dtype=np.int64), np.any(through, axis=0)
 
 
 class _Grid(NamedTuple):
     """Cells that are asked about: their height, NaN of the others, and how high a ray may pass over them [m].
 
-    Of each tile of them the lowest height and the highest top. The origin is the lower corner [m].
+    Of each tile of them the lowest height and the highest top. The box from `corner` to `far` [m], shape (3,), holds
+    all. A ray counts as far as that much `before` its point [m].
     """
 
     height: Float32Array
     top: Float32Array
     lowest: Float32Array
     highest: Float32Array
-    origin: FloatArray
+    corner: FloatArray
+    far: FloatArray
     width: float
+    before: float
 
 
-def _grid_of(surface: HeightMap, asked: BoolArray, room: Float32Array) -> _Grid:
+def _grid_of(surface: HeightMap, asked: BoolArray, room: Float32Array, before: float) -> _Grid:
     height, top = (np.where(asked, each, np.nan).astype(np.float32) for each in (surface.height, surface.height + room))
     lowest, highest = over_blocks(height, TILE, np.fmin, np.inf), over_blocks(top, TILE, np.fmax, -np.inf)
-    return _Grid(height, top, lowest, highest, surface.arrays.origin, surface.cell_width)
+    width = surface.cell_width
+    corner = np.append(surface.origin, float(np.nanmin(height)) - width)
+    far = np.append(surface.origin + width * (np.array(asked.shape) - 1e-6), float(np.nanmax(top)))
+    return _Grid(height, top, lowest, highest, corner, far, width, before)
 
 
 def _steps_beside(surface: HeightMap, asked: BoolArray, config: PerceptionConfig) -> tuple[Float32Array, BoolArray]:
@@ -183,18 +186,14 @@ def _look_beside(
 
 
 @njit(cache=True, nogil=True)
-def _part_at_ground(
-    a: FloatArray, b: FloatArray, corner: FloatArray, far: FloatArray, bounds: tuple[float, float, float]
-) -> tuple[float, float]:
+def _part_at_ground(a: FloatArray, b: FloatArray, grid: _Grid) -> tuple[float, float]:
     """Where a ray from a to b enters and leaves the heights and the plan that are asked about, as shares of it."""
-    low, high, before = bounds
     length = np.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
-    if not before < length < np.inf:
+    if not grid.before < length < np.inf:
         return 1.0, 0.0
-    first, last = 0.0, 1.0 - before / length
+    first, last = 0.0, 1.0 - grid.before / length
     for k in range(3):
-        least, most = (low, high) if k == 2 else (corner[k], far[k])
-        along = b[k] - a[k]
+        least, most, along = grid.corner[k], grid.far[k], b[k] - a[k]
         if abs(along) < 1e-12:
             if not least <= a[k] <= most:
                 return 1.0, 0.0
@@ -205,18 +204,12 @@ def _part_at_ground(
 
 
 @njit(cache=True, nogil=True)
-def _far_corner(grid: _Grid) -> FloatArray:
-    made: FloatArray = grid.origin + grid.width * (np.array(grid.height.shape) - 1e-6)
-    return made
-
-
-@njit(cache=True, nogil=True)
-def _tiles_along(rays: Rays, grid: _Grid, bounds: tuple[float, float, float], step: int) -> float:
+def _tiles_along(rays: Rays, grid: _Grid, step: int) -> float:
     """Tiles that every `step`-th ray goes through."""
-    tiles, far, (origins, ends) = 0.0, _far_corner(grid), rays
+    tiles, (origins, ends) = 0.0, rays
     for i in range(0, len(ends), step):
         a, b = origins[i % len(origins)], ends[i]
-        first, last = _part_at_ground(a, b, grid.origin, far, bounds)
+        first, last = _part_at_ground(a, b, grid)
         if first < last:
             tiles += 1.0 + (last - first) * (abs(b[0] - a[0]) + abs(b[1] - a[1])) / (TILE * grid.width)
     return tiles
@@ -247,21 +240,19 @@ def _go_on(shape: tuple[int, int], walk: _Walk) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def _cast(
-    rays: Rays, grid: _Grid, bounds: tuple[float, float, float], max_step: float, begin: int, step: int
-) -> tuple[ByteArray, BoolArray]:
+def _cast(rays: Rays, grid: _Grid, max_step: float, begin: int, step: int) -> tuple[ByteArray, BoolArray]:
     """How many of every `step`-th ray were in each cell between its ground and its top, 255 at most; where one fell.
 
     It fell from or to deeper under the ground than `max_step` [m]. In tiles that are as low it goes from cell to cell.
     """
-    far, (origins, ends) = _far_corner(grid), rays
-    tiles = grid.origin, TILE * grid.width, grid.lowest.shape
+    origins, ends = rays
+    tiles = grid.corner, TILE * grid.width, grid.lowest.shape
     seen = passed, fell = np.zeros(grid.height.shape, np.uint8), np.zeros(grid.height.shape, np.bool_)
     walk = np.zeros(2, np.int64), np.zeros(2, np.int64), np.zeros(2), np.zeros(2)
     inner = walk[0].copy(), walk[1].copy(), walk[2].copy(), walk[3].copy()
     for i in range(begin, len(ends), step):
         a, b = origins[i % len(origins)], ends[i]
-        t, last = _part_at_ground(a, b, grid.origin, far, bounds)
+        t, last = _part_at_ground(a, b, grid)
         if not t < last:
             continue
         deep = min(a[2], b[2]) + max_step
@@ -285,7 +276,7 @@ def _look_along(
     """`_cast` of the part of a ray between two shares of it (Amanatides and Woo, 1987)."""
     (a, b), (t, last), (passed, fell) = ray, part, seen
     shape, at = grid.height.shape, walk[0]
-    _enter(ray, t, (grid.origin, grid.width, shape), walk)
+    _enter(ray, t, (grid.corner, grid.width, shape), walk)
     while t < last:
         leave = max(min(min(walk[2][0], walk[2][1]), last), t)
         ground = grid.height[at[0], at[1]]
@@ -303,12 +294,11 @@ def _look_along(
 
 def _blind_spots(surface: HeightMap, asked: BoolArray, rays: Rays) -> BoolArray:
     """Cells nearer to a station's nadir than anything that it saw below itself in that direction, shape (nx, ny)."""
-    origins = rays.origins
-    known = np.flatnonzero(np.isfinite(origins).all(axis=1))
-    blind = np.zeros(asked.shape, dtype=bool)
+    blind, many = np.zeros(asked.shape, dtype=bool), len(rays.origins) > 1
+    known = np.flatnonzero(np.isfinite(rays.origins).all(axis=1))
     if not len(known):
         return blind
-    own = origins[known]
+    own = rays.origins[known]
     another = np.r_[True, (own[1:] != own[:-1]).any(axis=1)]  # a station's rays come one after another
     runs = np.flatnonzero(another)
     key = np.floor(own[runs] / STATION).astype(np.int64) @ _KEYS
@@ -317,8 +307,8 @@ def _blind_spots(surface: HeightMap, asked: BoolArray, rays: Rays) -> BoolArray:
     wanted = widened(asked, int(MAX_HOLE_RADIUS / surface.cell_width))
     over = np.append(wanted.ravel(), False)[cells_within(at, surface)]
     station = np.where(over, np.cumsum(over) - 1, -1)
-    of_ray = np.full(len(rays.ends), -1) if len(origins) > 1 else np.full(len(rays.ends), station[0])
-    if len(origins) > 1:
+    of_ray = np.full(len(rays.ends), -1 if many else station[0])
+    if many:
         of_ray[known] = station[number][np.cumsum(another) - 1]
     at = at[over]
     nearest = np.full((len(at), SECTORS), MAX_HOLE_RADIUS)

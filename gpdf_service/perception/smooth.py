@@ -53,10 +53,8 @@ def to_centres(surface: HeightMap, off: Float32Array, noise: float = 0.0) -> Hei
     Least squares over those of the nine that differ from its own by less than a cell's width, or the noise. A step
     leaves more than `FINE` and `FLAT` σ: what is no plane stays as it is.
 
-    Args:
-        surface: The ground as it was seen.
-        off: Where the point lies whose height a cell has, from the cell's centre [m], shape (nx, ny, 2).
-        noise: Standard deviation σ of the points before they were cured [m].
+    The point whose height a cell has is `off` the cell's centre [m], shape (nx, ny, 2). The `noise` is the σ of the
+    points before they were cured [m].
     """
     limits = max(surface.cell_width, _SAME * noise), max(FINE, FLAT * noise)
     return replace(surface, height=_onto_planes(surface.height, (off, surface.cell_width), 1, limits, rims=False))

@@ -78,9 +78,9 @@ def find_rims(surface: HeightMap) -> Float32Array:
 def near_hollow(surface: HeightMap, hollow: BoolArray) -> BoolArray:
     """Unknown cells within `MAX_HOLE_RADIUS` of `hollow` ground; less of it than two cells by two is a stray's."""
     near, reach = np.zeros_like(hollow), MAX_HOLE_RADIUS / surface.cell_width
-    if not hollow.any():
+    firm = ndimage.binary_opening(hollow, np.ones((2, 2))) if hollow.any() else hollow
+    if not firm.any():
         return near
-    firm = ndimage.binary_opening(hollow, np.ones((2, 2)))
     box = window(firm, int(reach))
     near[box] = (nearest_of(firm[box])[0] <= reach) & (surface.state[box] == UNKNOWN)
     return near

@@ -6,14 +6,12 @@ from scipy.spatial import cKDTree
 
 from gpdf_service.denoise.cells import (
     AROUND,
-    begin_among,
     begin_sweep,
     centre_of,
     look_around,
     rows_around,
     runs_within,
     some_of,
-    some_within,
     sort_into_cells,
     sum_cells,
     sum_window,
@@ -33,7 +31,7 @@ def test_a_windows_sums_are_those_of_the_points_in_its_27_cells(seed):
     cells = sort_into_cells(points, 0.11)
     np.testing.assert_allclose(cells.places + cells.corner, points[cells.order], atol=1e-9)
     near, total, moments = np.empty(AROUND, np.int64), np.empty(10), sum_cells(cells)
-    at = begin_sweep(cells, 0)
+    at = begin_sweep(cells, cells.key[0])
     for c in range(len(cells.key)):
         look_around(cells, c, at, near)
         sum_window(cells, moments, near, total)
@@ -45,10 +43,10 @@ def test_a_windows_sums_are_those_of_the_points_in_its_27_cells(seed):
 
 def test_a_sweep_that_begins_in_the_middle_finds_the_same_cells():
     cells = sort_into_cells(cloud(np.random.default_rng(1)), 0.11)
-    one, other, at = np.empty(AROUND, np.int64), np.empty(AROUND, np.int64), begin_sweep(cells, 0)
+    one, other, at = np.empty(AROUND, np.int64), np.empty(AROUND, np.int64), begin_sweep(cells, cells.key[0])
     for c in range(len(cells.key)):
         look_around(cells, c, at, one)
-        look_around(cells, c, begin_sweep(cells, c), other)
+        look_around(cells, c, begin_sweep(cells, cells.key[c]), other)
         np.testing.assert_array_equal(one, other)
 
 
@@ -58,21 +56,21 @@ def test_some_cells_two_rings_off_are_those_whose_centres_are(share):
     cells = sort_into_cells(cloud(rng), 0.11)
     some = some_of(cells, rng.uniform(size=len(cells.key)) < share)
     centres = np.array([centre_of(cells, c) for c in range(len(cells.key))])
-    np.testing.assert_array_equal(some.middle, centres[some.cell])
-    beside, at = np.empty(125, np.int64), begin_among(some.key, cells, 0, 2)
-    off = np.abs(centres[:, None] - some.middle).max(axis=2)
-    for c in range(len(cells.key)):
-        found = beside[: some_within(some, cells.key[c], 2, at, beside)]
+    np.testing.assert_array_equal(some.places, centres[some.order])
+    runs, at = np.empty((25, 2), np.int64), begin_sweep(some, cells.key[0], 2)
+    off = np.abs(centres[:, None] - some.places).max(axis=2)
+    for c, own in enumerate(cells.key):
+        found = [j for run in runs[: runs_within(some, own, 2, at, runs)] for j in range(*run)]
         assert sorted(found) == np.flatnonzero(off[c] <= 2.5 * cells.width).tolist()
 
 
 def test_runs_hold_the_places_of_the_cells_within():
     cells = sort_into_cells(cloud(np.random.default_rng(2)), 0.11)
     centres = np.array([centre_of(cells, c) for c in range(len(cells.key))])
-    runs, at = np.empty((25, 2), np.int64), begin_sweep(cells, 0, 2)
+    runs, at = np.empty((25, 2), np.int64), begin_sweep(cells, cells.key[0], 2)
     for c, around in enumerate(cKDTree(centres).query_ball_point(centres, 2.5 * cells.width, p=np.inf)):
         held = [range(*cells.begin[j : j + 2]) for j in sorted(around)]
-        found = [range(*run) for run in runs[: runs_within(cells, c, 2, at, runs)]]
+        found = [range(*run) for run in runs[: runs_within(cells, cells.key[c], 2, at, runs)]]
         assert np.concatenate(found).tolist() == np.concatenate(held).tolist()
 
 

@@ -13,12 +13,12 @@ from gpdf_service.ground.foot import LEAST_OBSTACLE
 from gpdf_service.ground.level import GroundLevel
 from gpdf_service.ground.limits import ObstacleKind, step_and_slope
 from gpdf_service.ground.obstacles import Scan, obstacles_of
+from gpdf_service.perception.cloud import find_strays
 from gpdf_service.perception.complete import guard_edges
 from gpdf_service.perception.ledges import find_ledges, next_above
 from gpdf_service.perception.levels import survey_levels
 from gpdf_service.perception.seen import without_outliers
 from gpdf_service.perception.segment import segment_ground
-from gpdf_service.perception.strays import find_strays
 from gpdf_service.synthetic import SCENES, Box, World, ramp, random_room
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
 from gpdf_service.types import AGENTS, Status

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from gpdf_service.ground.level import within_reach
 from gpdf_service.ground.limits import median_around
-from gpdf_service.perception.strays import find_strays
+from gpdf_service.perception.cloud import find_strays
 from gpdf_service.perception.voids import find_rims, find_voids
 from gpdf_service.tiles.boxes import highest_around, lowest_around, widened
 from gpdf_service.tiles.columns import by_cell, ends_of_runs, unlike_cells

@@ -37,7 +37,8 @@ def place(rng, rough=0.003):
 def fill(grid, height, *others):
     state = np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
     seen, (material, at_floor, *voids) = HeightMap(np.zeros(2), WIDTH, height, state), others
-    return fill_holes(seen, grid, nearest_seen(seen), (material, at_floor, material), Voids(*voids), PerceptionConfig())
+    things, limits = (material, at_floor, material), PerceptionConfig()
+    return fill_holes(seen, grid, nearest_seen(seen), things, Voids(*voids), limits, 0.0)
 
 
 @pytest.mark.parametrize("seed", range(12))
