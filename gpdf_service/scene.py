@@ -526,7 +526,8 @@ class Scene:
             self._standing.save(path)
             return
         points = self._cloud.present  # not kept: a builder's scene shares them with the version before
-        arrays = {"points": points, "ground": self.ground, **levels_to_arrays(self.levels, points)}
+        levels = levels_to_arrays(self.levels, points, self.config.perception.max_step)
+        arrays = {"points": points, "ground": self.ground, **levels}
         if self.rays is not None:
             arrays["origins"] = self.rays.origins
         if self.shades is not None:
@@ -578,7 +579,8 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
         SceneFileError: the file is missing, damaged, or of another version.
     """
     arrays, meta, later = read_arrays(path, later="agents/")
-    levels, config = levels_from_arrays(arrays, arrays["points"]), Config.from_kept(meta["config"])
+    config = Config.from_kept(meta["config"])
+    levels = levels_from_arrays(arrays, arrays["points"], config.perception.max_step)
     fields = [
         _restore_ground(level, restore(FloatArray, arrays, _ALPHA.format(i)), config)
         for i, level in enumerate(levels.levels)

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from gpdf_service.errors import SceneFileError, words_of
 from gpdf_service.packing import Packed, pack, unpack
 
-SCHEMA_VERSION = 8
+SCHEMA_VERSION = 9
 """The only one that is read: who has another one builds the scene again."""
 _META = "meta.npy"
 _CHUNK = 2**20

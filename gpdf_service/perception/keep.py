@@ -19,7 +19,7 @@ from gpdf_service.tiles.surface import HeightMap, cells_within
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 _LEVEL, _EDGES = "levels/levels/{}", "/edges"
-_POINTS, _ROWS, _LIMITS = (f"{_LEVEL}/{name}" for name in ("other_points", "other_rows", "limits"))
+_POINTS, _ROWS, _DOWN, _LIMITS = (f"{_LEVEL}/{name}" for name in ("other_points", "other_rows", "down", "limits"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +29,11 @@ class _Ground:
     surface: HeightMap
 
 
-def levels_to_arrays(levels: Levels, points: FloatArray) -> Arrays:
-    """All that `levels_from_arrays` needs beside the cloud, `points` (n, 3). Of a cured one points are others."""
+def levels_to_arrays(levels: Levels, points: FloatArray, max_step: float) -> Arrays:
+    """All that `levels_from_arrays` needs beside the cloud, `points` (n, 3). Of a cured one points are others.
+
+    Points of ground over head that nobody saw from below may be down by `max_step` [m]: see `find_others`.
+    """
     made = {name: each for name, each in flatten(levels, "levels").items() if _EDGES not in name}
     ordered: dict[tuple[object, ...], tuple[IntArray, IntArray]] = {}
     for i, level in enumerate(levels.levels):
@@ -39,15 +42,15 @@ def levels_to_arrays(levels: Levels, points: FloatArray) -> Arrays:
         key = *grid.origin.tolist(), grid.cell_width, *grid.state.shape
         if key not in ordered:
             ordered[key] = by_cell(cells_within(points, grid), grid.state.size + 1)
-        chosen = np.zeros(len(points), dtype=bool)
-        if _find(points, *ordered[key], level.other_points, chosen):
+        chosen, down = (np.zeros(len(each), dtype=bool) for each in (points, level.other_points))
+        if _find(points, *ordered[key], level.other_points, max_step, chosen, down):
             del made[_POINTS.format(i)]
-            made[_ROWS.format(i)] = chosen
+            made |= {_ROWS.format(i): chosen, _DOWN.format(i): down}
     return made
 
 
-def levels_from_arrays(arrays: Arrays, points: FloatArray) -> Levels:
-    """The levels that `levels_to_arrays` took apart, of the same cloud.
+def levels_from_arrays(arrays: Arrays, points: FloatArray, max_step: float) -> Levels:
+    """The levels that `levels_to_arrays` took apart, of the same cloud and `max_step` [m].
 
     Raises:
         SceneFileError: an array is missing.
@@ -60,9 +63,12 @@ def levels_from_arrays(arrays: Arrays, points: FloatArray) -> Levels:
         found = flatten(_edges(ground.surface, limits), _LEVEL.format(i) + _EDGES)
         if (chosen := arrays.get(_ROWS.format(i))) is None:
             return found
-        if chosen.shape != (len(points),):
+        down = arrays[_DOWN.format(i)]
+        if chosen.shape != (len(points),) or down.shape != (np.count_nonzero(chosen),):
             raise SceneFileError("scene file", "it marks points that are not there", "Build the scene again.")
-        return found | {_POINTS.format(i): in_order(chosen_rows(points, chosen), ground.surface)[0]}
+        others = in_order(chosen_rows(points, chosen), ground.surface)[0]
+        others[down, 2] -= max_step
+        return found | {_POINTS.format(i): others}
 
     levels: Levels = restore(Levels, ChainMap(*run_parallel(one, grids), arrays), "levels")
     return levels
@@ -78,11 +84,32 @@ def _edges(surface: HeightMap, limits: GroundLimits) -> tuple[BoolArray, BoolArr
 
 
 @njit(cache=True, nogil=True)
-def _find(points: FloatArray, start: IntArray, order: IntArray, others: FloatArray, chosen: BoolArray) -> bool:
-    """Mark the rows that the `others` are, in the `order` of cells, which `start` there; whether all are there."""
+def _find(
+    points: FloatArray,
+    start: IntArray,
+    order: IntArray,
+    others: FloatArray,
+    max_step: float,
+    chosen: BoolArray,
+    down: BoolArray,
+) -> bool:
+    """Mark the rows that the `others` are, which lie in the order of their cells; whether all are there.
+
+    Args:
+        points: Shape (n, 3) [m].
+        start: Where each cell begins in the order.
+        order: The rows of the points by cell.
+        others: Shape (m, 3) [m].
+        max_step: By which some of the others are down [m].
+        chosen: Where rows are marked, shape (n,).
+        down: Where the others are that are down, shape (m,).
+    """
     found = 0
     for row in order[: start[-2]]:
+        if found == len(others):
+            break
         x, y, z = points[row]
-        if found < len(others) and x == others[found, 0] and y == others[found, 1] and z == others[found, 2]:
-            chosen[row], found = True, found + 1
+        u, v, w = others[found]
+        if x == u and y == v and (z == w or z - max_step == w):
+            chosen[row], down[found], found = True, z != w, found + 1
     return found == len(others)
