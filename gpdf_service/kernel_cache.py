@@ -117,8 +117,9 @@ def _keep(own: Any) -> tuple[object, ...]:  # noqa: ANN401
     """What is kept of a compiled kernel: of ours also what it defines."""
     (name, kind, parts), *rest = _kept_of(own)
     if own.fndesc.modname.partition(".")[0] == PACKAGE.name:
-        module = own.library._get_module_for_linking()
-        parts = *parts, [one.name for one in (*module.functions, *module.global_variables) if not one.is_declaration]
+        module, closed = own.library._get_module_for_linking(), ll.Linkage.internal
+        shown = [one for one in (*module.functions, *module.global_variables) if one.linkage is not closed]
+        parts = *parts, [one.name for one in shown if not one.is_declaration]
     return (name, kind, parts), *rest
 
 
@@ -148,6 +149,22 @@ def _linked(own: Any) -> object:  # noqa: ANN401
     return _module_of(own)
 
 
+_optimized: Any = JITCodeLibrary._optimize_final_module
+
+
+def _closed(own: Any) -> None:  # noqa: ANN401
+    """Optimise a kernel with what it calls as its own.
+
+    Else of all kernels that call one the first that is loaded lends it to the others. Where sums may be taken in any
+    order, each has it with other roundings: so a process that compiles had others than those that load what it kept.
+    """
+    for one in own._final_module.functions:
+        if not one.is_declaration and one.linkage is ll.Linkage.linkonce_odr:
+            one.linkage = "internal"
+    _optimized(own)
+
+
+JITCodeLibrary._optimize_final_module = _closed  # type: ignore[method-assign]
 CompileResult._reduce = _keep  # type: ignore[method-assign]
 JITCodeLibrary._unserialize = classmethod(_load)  # type: ignore[method-assign, assignment]
 JITCodeLibrary._get_module_for_linking = _linked  # type: ignore[method-assign]
@@ -169,8 +186,8 @@ Dispatcher.get_call_template = _for_all_numbers  # type: ignore[assignment, meth
 
 @cache
 def stamp_of(file: str) -> str:
-    """A hash of a file and of all that its kernels can call."""
-    digest = hashlib.sha256()
+    """A hash of a file and of all that its kernels can call, and of how they are compiled."""
+    digest = hashlib.sha256(_text(Path(__file__)).encode())
     for source in sorted(sources_of(Path(file).resolve())):
         digest.update(_named(source))
     return digest.hexdigest()

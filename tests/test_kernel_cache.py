@@ -52,6 +52,14 @@ outer(1)
 outer([1.0, 1][int(sys.argv[1])])
 print(sum(outer.stats.cache_misses.values()))
 """
+LINKAGE = """
+import json
+from gpdf_service.high import outer
+made = [outer(10)]
+(kept,) = outer.overloads.values()
+called = (one for one in kept.library._final_module.functions if "inner" in one.name and not one.is_declaration)
+print(json.dumps([made, sorted({one.linkage.name for one in called})]))
+"""
 FORKS = """
 import json, os, sys
 from numba import config, njit
@@ -169,9 +177,18 @@ def test_a_kept_kernel_is_read_for_llvm_only_where_another_one_is_compiled_with_
     ask()
     edit(small / "high.py", "2 * called", "3 * called")
     assert ask()[:2] == [[33, 7, 8], [1, 0, 0]]
-    with (small / "kernel_cache.py").open("a") as file:
-        file.write("\n\ndef _never(source):\n    raise AssertionError\n\n\nll.parse_bitcode = _never\n")
+    never = "def _never(source):\n    raise AssertionError\n\n\nll.parse_bitcode = _never\n"
+    (small / "__init__.py").write_text(f"from gpdf_service.kernel_cache import ll\n\n\n{never}")
     assert ask()[:2] == [[33, 7, 8], [0, 0, 0]]
+
+
+def test_a_kernel_has_what_it_calls_for_itself_alone(small, forks):
+    """Else a process that compiles it may run another kernel's, and one that loads what is kept its own."""
+    twice = "    return x if x < 2 else inner(x - 1) + inner(x - 2)"  # no compiler puts all of that into its caller
+    edit(small / "low/inner.py", "    return x + TEN", twice)
+    forks.stdin.write(json.dumps([LINKAGE, str(small.parent), [], {"HOME": str(small.parent)}]) + "\n")
+    forks.stdin.flush()
+    assert json.loads(forks.stdout.readline()) == [[110], ["internal"]]
 
 
 @pytest.mark.parametrize("told", [True, False])
