@@ -76,7 +76,7 @@ def test_a_path_is_drawn_before_the_room_along_it_is_known(operator, monkeypatch
     monkeypatch.setattr("gpdf_service.viewer.planning.known_clearance", slow)
     operator.plans((0.9, 0.9, 0.0), (5.4, 3.4, 0.0))
     assert asked.wait(60)
-    assert operator.page.plans.paths.drawn == ("line_plan",)
+    until(lambda: operator.page.plans.paths.drawn == ("line_plan",))
     go.set()
     until(lambda: operator.page.plans.paths.drawn == ("line_plan", "sweep", "body"))
     assert path_on_screen(operator) is not None
