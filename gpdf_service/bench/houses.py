@@ -65,13 +65,18 @@ def scanned_house(
     return place, scan.centred(thin) if centres else scan
 
 
-class How(TypedDict, total=False):
-    """How a house is scanned, thinned (to voxels' centres) and built: told where rays began, with one of `FAULTS`."""
+class Scanned(TypedDict, total=False):
+    """How a house is scanned and thinned: see `scanned_house`."""
+
+    thin: float
+    fault: str | None
+    centres: bool
+
+
+class How(Scanned, total=False):
+    """And how it is built: told where the rays began, or not."""
 
     origins: bool
-    fault: str | None
-    thin: float
-    centres: bool
 
 
 def house_rows(
@@ -93,12 +98,10 @@ def measure(
     noise: float | None = None,
     *,
     origins: bool = False,
-    fault: str | None = None,
-    thin: float = THIN,
-    centres: bool = False,
+    **how: Unpack[Scanned],
 ) -> Row:
     """Build one scanned house, told where rays began or not; plan from floor to floor and back; judge what is OK."""
-    place, scan = scanned_house(seed, scanner, noise, thin, fault, centres=centres)
+    place, scan = scanned_house(seed, scanner, noise, **how)
     began = time.process_time()
     row: Row = {"kind": place.name, "points": len(scan.points)}
     try:

@@ -96,16 +96,19 @@ def cure_and_segment(
         known: Of a cloud that was clean, and changed a little; measured when not given.
     """
 
-    def floor_of(width: float | None, pitch: float) -> tuple[BoolArray, Segmentation | None]:
-        return (ground, None) if ground is not None else segment(points, config, width=width, pitch=pitch)
+    def floor_of() -> tuple[BoolArray, Segmentation | None]:
+        if ground is not None:
+            return ground, None
+        width, pitch = (None, voxel_pitch(points_of(points))) if known is None else (known.width, known.pitch)
+        return segment(points, config, width=width, pitch=pitch)
 
     if known is not None:
-        floor, found = floor_of(known.width, known.pitch)
+        floor, found = floor_of()
         return CuredGround(_clean(points, known.noise), floor, as_it_was=True, segmentation=found)
     _, spacing, noise = sample = _measure(points)
     least = max(config.negligible_noise, (_SEEN if ground is None else _SEEN_APART) * spacing)
     if ground is not None or noise <= least:
-        floor, found = floor_of(None, voxel_pitch(points_of(points)))
+        floor, found = floor_of()
         noise = _with_double(points, floor, sample, least)
         if noise <= least:
             return CuredGround(_clean(points, noise), floor, as_it_was=True, segmentation=found)
