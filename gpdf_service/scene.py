@@ -42,7 +42,7 @@ from gpdf_service.perception import (
     survey_levels,
 )
 from gpdf_service.perception.budget import give_back
-from gpdf_service.perception.cure import NOISE_STEP
+from gpdf_service.perception.noisy import NOISE_STEP
 from gpdf_service.perception.segment import LEAST_SCATTER
 from gpdf_service.search.change import change_free_space
 from gpdf_service.search.free_space import FreeSpace, Setup, build_free_space
@@ -196,7 +196,7 @@ class Scene:
         version: Counts the changes of this scene, from 1.
         noise: Standard deviation of the cloud's points [m], which plans keep away from as well; 0 when negligible.
         labelled: Whether `ground` was given with the cloud, and not found by our segmentation.
-        perceived: What a change starts from; None after loading, and where the cloud had to be cured of noise.
+        perceived: What a change starts from; None after loading, and with rays.
         drift: Share of the points that changed since noise and spacing were measured.
         moving: What is there beside what was scanned [m], shape (k, 3).
         rays: Those of the scan, where it is known where they began.
@@ -246,15 +246,16 @@ class Scene:
 
     @property
     def sampling(self) -> Sampling | None:
-        """What the next versions keep; none where noise asks for each its own.
+        """What the next versions keep; none where each is measured anew.
 
         They keep it until `MAX_DRIFT` of the points have changed: what is measured has steps, and a cloud beside one
         must not take another grid with each chair that is moved, nor be noisy with one and clean with the next.
         """
         if self.perceived is None:
             return None
-        found = self.perceived.segmentation
-        return Sampling(self.surfaces[0].cell_width, self.noise, 0.0 if found is None else found.pitch)
+        found, noisy = self.perceived.segmentation, self.perceived.noisy
+        tiles = None if noisy is None else noisy.tiles
+        return Sampling(self.surfaces[0].cell_width, self.noise, 0.0 if found is None else found.pitch, tiles)
 
     @property
     def hidden_height(self) -> float:
@@ -439,7 +440,8 @@ class Scene:
         fields = _fit_grounds(now.levels, self.config, self, now.survey.former)
         progress("ready", 1.0)
         known = self.version + 1, self.noise, self.labelled
-        scene = Scene(now.points, now.ground, now.levels, fields, self.config, *known, now, drift)
+        points, own = now.cloud
+        scene = Scene(points, own, now.levels, fields, self.config, *known, now, drift)
         scene.shades = self.shades
         if scene.scan == self.scan and now.touched:  # else all that stops a body may be another
             scene._former = self._spaces_before(now.touched, scene.surfaces)
@@ -611,27 +613,28 @@ def assemble_scene(
     """
     progress("segment ground", 0.0)
     found = cure_and_segment(cloud, labels, config.perception, known)
-    cured, ground, segmentation = found.cured, found.ground, found.segmentation
+    cured, ground, segmentation, noisy = found
     give_back(len(cloud))
     progress("build levels", 0.4)
-    points, labelled = cured.points, ground
-    if cured.stray.any():
-        points, labelled = chosen_rows(points, ~cured.stray), ground[~cured.stray]
+    held, labelled = (points_of(cloud), ground) if noisy is None else (noisy.held.points, noisy.own_ground)
     width = known.width if known is not None else None
     if segmentation is not None:
         width = segmentation.layers.cell_width
-    held, noise = points_of(points), 0.0 if found.as_it_was else cured.measured
-    levels, survey = survey_levels(points, labelled, config.perception, width=width, noise=noise, rays=rays, held=held)
+    spread = 0.0 if noisy is None else noisy.noise
+    built = held.present, labelled, config.perception
+    levels, survey = survey_levels(*built, width=width, noise=spread, rays=rays, held=held)
     give_back(len(cloud))
     progress("fit ground fields", 0.7)
     fields = _fit_grounds(levels, config, like, range(len(like.surfaces)) if like is not None else ())
     progress("ready", 1.0)
     noise = cured.measured if cured.measured > config.perception.negligible_noise else 0.0
     version = 1 if like is None else like.version + 1
-    lasting = found.as_it_was and rays is None  # what rays show of a part of a scene is not told part by part
-    perceived = Perceived(held, ground, segmentation, levels, survey).lasting() if lasting else None
+    lasting = rays is None  # what rays show of a part of a scene is not told part by part
+    of = None if noisy is not None else segmentation
+    perceived = Perceived(held, labelled, of, levels, survey, (), noisy).lasting() if lasting else None
     facts = version, in_steps(noise, NOISE_STEP), labels is not None
-    return Scene(held if lasting else cloud, ground, levels, fields, config, *facts, perceived, rays=rays)
+    own = perceived.cloud[0] if perceived is not None else cloud
+    return Scene(own, ground, levels, fields, config, *facts, perceived, rays=rays)
 
 
 def _fit_grounds(levels: Levels, config: Config, like: Scene | None, former: Sequence[int]) -> tuple[Gpdf, ...]:

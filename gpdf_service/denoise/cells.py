@@ -49,10 +49,10 @@ class Cells(NamedTuple):
 
 
 def sort_into_cells(points: FloatArray, width: float) -> Cells:
-    """Points, shape (n, 3) [m], in cells of at least `width` [m]."""
+    """Points, shape (n, 3) [m], in cells of at least `width` [m], which a part of a cloud has where all of it does."""
     lowest, highest = corners_of(points)
     width = max(width, float((highest - lowest).max()) / _MOST)
-    corner = lowest - _MARGIN * width
+    corner = (np.floor(lowest / width) - _MARGIN) * width
     counts = np.floor((highest - corner) / width).astype(np.int64) + 1 + _MARGIN
     strides = np.array([counts[1] * counts[2], counts[2]])
     key = np.empty(len(points), np.int64)

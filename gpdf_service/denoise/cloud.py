@@ -10,7 +10,7 @@ around is flat, and then with those that are as narrow as the noise lets them be
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from math import sqrt
 from typing import Any, NamedTuple
 
@@ -36,6 +36,9 @@ _WIDE = 2.0
 """[-] Width of the wide cells over that of the others: a window of 12 σ, as precise again, where all of it is flat."""
 _FLAT = 7
 """Votes, of the nine in a layer, that a wide cell's plane has more than where all around it is flat."""
+_HALO = 5
+"""Wide cells off a point whose points decide on it, but for one in a thousand: at an edge planes are taken from three
+off, and each is of points two further."""
 _FEW = 0.01
 """[-] Of the points that are left, below which wider cells are not tried: they are outliers, not a surface."""
 _BIAS = 3.0
@@ -44,7 +47,7 @@ HIDDEN = 0.6
 """[-] Least standard deviation left over the noise: relief within it passes for noise."""
 _NEGLIGIBLE = 0.05
 """[-] Noise over spacing below which the gaps between the points hide it."""
-_BLOCK = 1.0
+BLOCK = 1.0
 """[m] Width of the cubes that are as noisy all over: several times the largest window of 5 cm noise."""
 _TOLD = 100
 """Points of a cube that tell its noise: to a tenth. Fewer, or less than half of them, tell nothing."""
@@ -77,11 +80,31 @@ class Denoised(NamedTuple):
     measured: float
     local: FloatArray
 
+    @property
+    def arrays(self) -> tuple[NDArray[Any], ...]:
+        """What is told of each point."""
+        return self.points, self.noise, self.vague, self.stray, self.local
+
+    def each(self, made: Callable[[NDArray[Any]], NDArray[Any]]) -> Denoised:
+        """With what is `made` of each of these arrays in its place."""
+        points, noise, vague, stray, local = map(made, self.arrays)
+        return Denoised(points, noise, vague, stray, self.measured, local)
+
 
 def as_measured(points: FloatArray, noise: float) -> Denoised:
     """Points as they are, shape (n, 3), with the noise that they have [m]."""
     none, all_ = np.zeros(len(points), dtype=bool), np.full(len(points), noise)
     return Denoised(points, all_, none, none.copy(), noise, all_.copy())
+
+
+def halo_of(noise: float, spacing: float) -> float:
+    """How far off a point others decide on where it goes [m], in a cloud of that `noise` and `spacing` [m]."""
+    return _HALO * _WIDE * _width_of(noise, spacing)
+
+
+def _width_of(noise: float, spacing: float) -> float:
+    """Width of the cells [m]."""
+    return max(RESOLVED * noise, _FILLED * spacing)
 
 
 def denoise(points: FloatArray, noise: float, spacing: float, parts: BoolArray | None = None) -> Denoised:
@@ -102,27 +125,22 @@ def denoise(points: FloatArray, noise: float, spacing: float, parts: BoolArray |
         rows = np.flatnonzero(part)
         if len(rows) > FEWEST:
             own = _denoise_part(points.take(rows, 0), noise, spacing)
-            for whole, told in zip(_arrays(made), _arrays(own), strict=True):
+            for whole, told in zip(made.arrays, own.arrays, strict=True):
                 whole[rows] = told
     return made
-
-
-def _arrays(made: Denoised) -> tuple[NDArray[Any], ...]:
-    """What is told of each point."""
-    return made.points, made.noise, made.vague, made.stray, made.local
 
 
 def _denoise_part(points: FloatArray, noise: float, spacing: float) -> Denoised:
     """All as noisy as the noisiest, then what is quieter with its own noise, beside what is around it."""
     made = _denoise_alike(points, noise, spacing)
-    blocks = sort_into_cells(made.points, _BLOCK)  # as measured, one that cuts a wall's points has those off little
+    blocks = sort_into_cells(made.points, BLOCK)  # as measured, one that cuts a wall's points has those off little
     for _ in range(_ROUNDS):
         found = list(_quieter(points, blocks, made))
         if not found:
             break
         for own, rows, quieter in found:
             part, mine = _denoise_alike(points[rows], quieter, spacing), own[rows]
-            for whole, fresh in zip(_arrays(made), _arrays(part), strict=True):
+            for whole, fresh in zip(made.arrays, part.arrays, strict=True):
                 whole[rows[mine]] = fresh[mine]
     return made
 
@@ -156,7 +174,7 @@ def _medians(blocks: Cells, points: FloatArray, made: Denoised, begin: int, end:
 
 def _denoise_alike(points: FloatArray, noise: float, spacing: float) -> Denoised:
     """Points that are as noisy all over, in one pass."""
-    width = max(RESOLVED * noise, _FILLED * spacing)
+    width = _width_of(noise, spacing)
     cells = sort_into_cells(points, _WIDE * width)
     error, pending = np.full(len(points), np.inf), np.ones(len(points), dtype=bool)
     placed = Placed(points.copy(), error, pending, np.zeros(points.shape, np.float32))

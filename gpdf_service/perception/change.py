@@ -1,4 +1,4 @@
-"""What a change of a clean cloud does to its ground and its levels: only what it touches is looked at again.
+"""What a change of a cloud does to its ground and its levels: only what it touches is looked at again.
 
 What a cell holds depends on the points of its column and on cells within a known reach: what is told by them is asked
 again where any of that is another (`Beside.around`, `Grid.around`). What depends on connections is decided anew: which
@@ -16,6 +16,7 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.ground import Levels, Touched
 from gpdf_service.perception.cloud import Cloud, WholeError, find_strays
 from gpdf_service.perception.levels import Survey, alone, change_levels
+from gpdf_service.perception.noisy import Noisy, change_noisy, longer
 from gpdf_service.perception.segment import Segmentation, change_segmentation
 from gpdf_service.tiles.points import Points
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -23,15 +24,16 @@ from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True)
 class Perceived:
-    """All that is known of a clean cloud; what a change starts from.
+    """All that is known of a cloud; what a change starts from.
 
     Attributes:
-        points: The cloud, by numbers up to n.
-        ground: Which points are ground, shape (n,); none that is not there.
-        segmentation: What the ground was found from; None where it was given.
+        points: What its levels are built of, by numbers up to n: the cloud itself, if it is clean.
+        ground: Which of these points are ground, shape (n,); none that is not there.
+        segmentation: What the ground of a clean cloud was found from; None where it was given.
         levels: The sheets of ground.
         survey: What they were made of.
         touched: Where the last change made anything another; empty after a build.
+        noisy: The cloud, and what was made of it, if it is noisy.
     """
 
     points: Points
@@ -40,11 +42,22 @@ class Perceived:
     levels: Levels
     survey: Survey
     touched: Touched = ()
+    noisy: Noisy | None = None
+
+    @property
+    def cloud(self) -> tuple[Points, BoolArray]:
+        """The cloud as it was measured, by numbers up to m, and which of it are ground, shape (m,)."""
+        return (self.points, self.ground) if self.noisy is None else (self.noisy.points, self.noisy.ground)
 
     def lasting(self) -> Perceived:
         """The same without what only the build needed."""
-        found, survey = self.segmentation, replace(self.survey, near=self.survey.near.lasting())
-        return replace(self, segmentation=None if found is None else found.lasting(), survey=survey)
+        found, noisy = self.segmentation, self.noisy
+        return replace(
+            self,
+            segmentation=None if found is None else found.lasting(),
+            survey=replace(self.survey, near=self.survey.near.lasting()),
+            noisy=None if noisy is None else noisy.lasting(),
+        )
 
 
 def change(
@@ -63,15 +76,16 @@ def change(
         WholeError: the cloud has other bounds; build it as a whole.
         NoGroundError: nothing in it is walkable.
     """
-    places = np.concatenate([old.points.taken(gone), fresh])
-    if len(places) == 0:
+    if len(gone) + len(fresh) == 0:
         same = tuple(range(len(old.levels.levels)))
         return replace(old, survey=replace(old.survey, former=same), touched=tuple((k, None) for k in same))
-    cloud = Cloud(old.points.changed(gone, fresh), places)
-    before, stray = (
-        np.concatenate([each, np.zeros(len(fresh), dtype=bool)]) for each in (old.ground, old.survey.stray)
-    )
-    before[gone] = stray[gone] = False
+    if old.noisy is not None:
+        noisy, cloud = change_noisy(old.noisy, gone, fresh, labels, config)
+        count = len(noisy.ground)
+        before = noisy.held.told(longer(old.noisy.ground, count))
+        return _changed(old, cloud, before, noisy.held.told(noisy.ground), None, noisy, config)
+    cloud = Cloud(old.points.changed(gone, fresh), np.concatenate([old.points.taken(gone), fresh]))
+    before = longer(old.ground, len(cloud.points.there)) & cloud.points.there
     segmentation = old.segmentation
     if labels is None:
         if segmentation is None:
@@ -80,12 +94,27 @@ def change(
     else:
         ground = before.copy()
         ground[len(old.ground) :] = labels
+    return _changed(old, cloud, before, ground, segmentation, None, config)
+
+
+def _changed(
+    old: Perceived,
+    cloud: Cloud,
+    before: BoolArray,
+    ground: BoolArray,
+    segmentation: Segmentation | None,
+    noisy: Noisy | None,
+    config: PerceptionConfig,
+) -> Perceived:
+    """What is known of a changed cloud, of whose points some are ground, shape (n,), and others were `before`."""
     cloud.add(before != ground)
+    stray = longer(old.survey.stray, len(ground)) & cloud.points.there
     again = _change_strays(stray, cloud, alone(old.survey.layers.cell_width)) & ~ground
     cloud.add(again != stray)
-    levels, survey = change_levels(old.survey, cloud, ground, again, config)
+    noise = 0.0 if noisy is None else noisy.noise
+    levels, survey = change_levels(old.survey, cloud, ground, again, config, noise)
     touched = tuple(zip(survey.former, (made.touched for made in survey.made), strict=True))
-    return Perceived(cloud.points, ground, segmentation, levels, survey, touched).lasting()
+    return Perceived(cloud.points, ground, segmentation, levels, survey, touched, noisy).lasting()
 
 
 def _change_strays(stray: BoolArray, cloud: Cloud, width: float) -> BoolArray:

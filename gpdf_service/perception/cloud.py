@@ -44,14 +44,15 @@ class Cloud:
     def part(self, grid: Layers | HeightMap, wanted: BoolArray) -> tuple[Rows, FloatArray]:
         """Numbers of the points in the `wanted` cells of a grid, (nx, ny), and these points; if all are, of all."""
         if wanted.all():
-            return (slice(None) if self.points.untouched else np.flatnonzero(self.points.there)), self.points.present
+            return (slice(None) if self.points.untouched else self.points.all_numbers), self.points.present
         rows = self.points.rows_in_cells(np.asarray(grid.origin, np.float64), grid.cell_width, wanted)
         return rows, self.points.taken(rows)
 
     def chosen(self, grid: Layers | HeightMap, wanted: BoolArray, kind: BoolArray) -> FloatArray:
         """The points of a `kind`, shape (n,), in the `wanted` cells of a grid, (nx, ny)."""
         own = np.asarray(grid.origin, np.float64), grid.cell_width, wanted, kind
-        return self.points.taken(np.flatnonzero(kind) if wanted.all() else self.points.rows_in_cells(*own))
+        rows = self.points.in_order(np.flatnonzero(kind)) if wanted.all() else self.points.rows_in_cells(*own)
+        return self.points.taken(rows)
 
 
 def change_layers(

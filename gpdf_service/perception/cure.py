@@ -7,26 +7,17 @@ from typing import NamedTuple
 import numpy as np
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.denoise import (
-    Denoised,
-    denoise,
-    estimate_noise,
-    find_lifted,
-    onto_risers,
-    onto_treads,
-    return_explained,
-)
+from gpdf_service.denoise import Denoised, estimate_noise
 from gpdf_service.fields import build_tree, estimate_spacing
 from gpdf_service.ground import voxel_pitch
+from gpdf_service.perception.noisy import Noisy, Tiles, without_noise
 from gpdf_service.perception.segment import Segmentation, segment
 from gpdf_service.tiles.columns import compacted
 from gpdf_service.tiles.points import points_of
 from gpdf_service.tiles.rows import bounds_of, cells_of, chosen_rows
-from gpdf_service.tiles.width import columns_over, in_steps
+from gpdf_service.tiles.width import columns_over
 from gpdf_service.types import BoolArray, FloatArray
 
-NOISE_STEP = 0.001
-"""[m] Noise counts in steps, so that a cloud which changes a little is as noisy as before; all stages know the same."""
 _SAMPLE = 60_000
 """Points that say how noisy a cloud is: enough for a thousand neighbourhoods."""
 _SEEN, _SEEN_APART = 0.25, 0.1
@@ -37,10 +28,6 @@ _DOUBLE = 1.5
 than once: a stair's treads make 1.1 of it, a forest's litter 1.3, two scans that are 2 cm off each other 2.9."""
 _PLACES = 300
 """Places of the ground that tell whether it lies there more than once: to a tenth, for half as much again."""
-_APART = 2.0
-"""[-] Standard deviations off a surface of their own that outliers are at least, of labelled ground and where nobody
-labelled it: the rim of a lid that was taken for ground is nearer to the lid's side than that, and stays where it was
-measured, and so do a table's legs 7 cm before a wall."""
 _COLUMN = 1.0
 """[m] Width of the columns that the sample is made of: several times the largest neighbourhood of 5 cm noise."""
 
@@ -51,28 +38,30 @@ class CuredGround(NamedTuple):
     Attributes:
         cured: The cloud without its noise.
         ground: Which of its points are ground, shape (n,): the labels, where they were given; else no stray point is.
-        as_it_was: Whether the cloud was clean enough to stay as it was.
-        segmentation: What the ground of a clean cloud without labels was found from.
+        segmentation: What the ground of a cloud without labels was found from.
+        noisy: What was made of a noisy cloud; None where it was clean enough to stay as it was.
     """
 
     cured: Denoised
     ground: BoolArray
-    as_it_was: bool
     segmentation: Segmentation | None = None
+    noisy: Noisy | None = None
 
 
 class Sampling(NamedTuple):
-    """How a clean cloud was measured, told once from all of it: the changes of it that follow keep both.
+    """How a cloud was measured, told once from all of it: the changes of it that follow keep it.
 
     Attributes:
         width: Of the cells that it is looked at in [m].
         noise: Standard deviation of its points [m]; 0 when negligible.
         pitch: Of the voxels whose centres they are [m], where their ground was found; else 0.
+        tiles: By which its noise is taken out; None of a clean cloud.
     """
 
     width: float
     noise: float
     pitch: float = 0.0
+    tiles: Tiles | None = None
 
 
 _Sample = tuple[BoolArray, float, float]
@@ -84,16 +73,15 @@ def cure_and_segment(
 ) -> CuredGround:
     """Move the points of a noisy cloud onto their surfaces, and tell ground from the rest.
 
-    Labels keep the surfaces of ground and of the rest apart: at the foot of a wall a window holds both. A cloud without
-    labels is denoised as a whole, and then segmented. A clean cloud stays as it is. Two sheets close to each other are
-    a board, and no noise; but ground has one height, so there they are scans that do not fit on each other, and their
-    distance is what the cloud is off by. Of a noisy cloud without labels that is not asked: so lie a stair's treads.
+    A clean cloud stays as it is. Two sheets close to each other are a board, and no noise; but ground has one height,
+    so there they are scans that do not fit on each other, and their distance is what the cloud is off by. Of a noisy
+    cloud without labels that is not asked: so lie a stair's treads.
 
     Args:
         points: The cloud [m], shape (n, 3).
         ground: Labels, shape (n,); our own segmentation where not given.
         config: Limits.
-        known: Of a cloud that was clean, and changed a little; measured when not given.
+        known: Of a cloud that changed a little; measured when not given.
     """
 
     def floor_of() -> tuple[BoolArray, Segmentation | None]:
@@ -102,17 +90,29 @@ def cure_and_segment(
         width, pitch = (None, voxel_pitch(points_of(points))) if known is None else (known.width, known.pitch)
         return segment(points, config, width=width, pitch=pitch)
 
+    if known is not None and known.tiles is not None:
+        return _cured(points, ground, known.tiles, known.width, config)
     if known is not None:
         floor, found = floor_of()
-        return CuredGround(_clean(points, known.noise), floor, as_it_was=True, segmentation=found)
+        return CuredGround(_clean(points, known.noise), floor, found)
     _, spacing, noise = sample = _measure(points)
     least = max(config.negligible_noise, (_SEEN if ground is None else _SEEN_APART) * spacing)
     if ground is not None or noise <= least:
         floor, found = floor_of()
         noise = _with_double(points, floor, sample, least)
         if noise <= least:
-            return CuredGround(_clean(points, noise), floor, as_it_was=True, segmentation=found)
-    return _found(points, noise, spacing, config) if ground is None else _cured(points, ground, noise, spacing)
+            return CuredGround(_clean(points, noise), floor, found)
+    x, y = np.floor(bounds_of(points)[0]).tolist()
+    return _cured(points, ground, Tiles(noise, spacing, (x, y)), None, config)
+
+
+def _cured(
+    points: FloatArray, ground: BoolArray | None, tiles: Tiles, width: float | None, config: PerceptionConfig
+) -> CuredGround:
+    """A cloud whose noise is taken out."""
+    noisy = without_noise(points_of(points), ground, tiles, config, width=width)[0]
+    cured = noisy.explained._replace(points=noisy.last, measured=noisy.noise)
+    return CuredGround(cured, noisy.ground, noisy.segmentation, noisy)
 
 
 def _clean(points: FloatArray, noise: float) -> Denoised:
@@ -126,44 +126,6 @@ def _with_double(points: FloatArray, ground: BoolArray, sample: _Sample, least: 
     picked, spacing, noise = sample
     double = estimate_noise(chosen_rows(points, picked & ground), spacing, sheets=False, places=_PLACES)
     return double if double > max(_DOUBLE * noise, least) else noise
-
-
-def _cured(points: FloatArray, ground: BoolArray, noise: float, spacing: float) -> CuredGround:
-    """A cloud with labels: the floor explains nothing that was labelled as no ground, and no thing what is ground."""
-    cured = denoise(points, noise, spacing, ground)
-    cured.stray[~ground] = False  # what is alone goes back to a surface that explains it, or stays where it is
-    return_explained(points, ~ground, ~ground, cured, spacing)
-    return_explained(points, ground, ground, cured, spacing, _APART)
-    _settle_stairs(points, ground, cured)
-    return CuredGround(_in_steps(cured), ground, as_it_was=False)
-
-
-def _found(points: FloatArray, noise: float, spacing: float, config: PerceptionConfig) -> CuredGround:
-    """A cloud without labels. Ground, too, is put back nowhere: such points clump, and leave cells empty."""
-    cured = denoise(points, noise, spacing)
-    ground, kept = np.zeros(len(points), dtype=bool), chosen_rows(cured.points, ~cured.stray)
-    ground[~cured.stray] = segment(kept, config, noise=cured.local[~cured.stray])[0]
-    return_explained(points, ~ground, ground, cured, spacing, _APART)
-    stray = cured.stray | find_lifted(cured.points, ground, noise, spacing)
-    return CuredGround(_in_steps(cured)._replace(stray=stray), ground & ~stray, as_it_was=False)
-
-
-def _in_steps(cured: Denoised) -> Denoised:
-    """The noise as every later stage knows it: a step that one of two takes for noise is the top of no face."""
-    return cured._replace(measured=in_steps(cured.measured, NOISE_STEP))
-
-
-def _settle_stairs(points: FloatArray, ground: BoolArray, cured: Denoised) -> None:
-    """Set what is of a stair onto its treads and risers."""
-    own, moved, left = points[ground], cured.points[ground], cured.noise[ground]
-    flights = onto_treads(own, cured.measured, moved, left)
-    if not flights:
-        return
-    cured.points[ground], cured.noise[ground] = moved, left
-    rest = ~ground
-    own, moved, left = points[rest], cured.points[rest], cured.noise[rest]
-    onto_risers(flights, own, cured.measured, moved, left)
-    cured.points[rest], cured.noise[rest] = moved, left
 
 
 def _measure(points: FloatArray) -> _Sample:

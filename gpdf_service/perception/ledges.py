@@ -31,7 +31,7 @@ def find_ledges(
 
     No cure takes the `noise` [m] along a face out of it: its upper rim stands over the ground behind it by as much.
     Where a flight is, as `max_step` [m] tells, what is narrower than a foot is no ledge: the end of a stringer.
-    The `box` of cells holds all `other` points, and what is within twice `FACE` and `ledge_reach` cells of them.
+    The `box` of cells holds all `other` points, and what is within `ground_reach` and `ledge_reach` cells of them.
     """
     part, off = cropped(surface, box), max(surface.cell_width, RESOLVED_STEP * noise)
     aside, known = min(FACE, NOSING + off), part.state != UNKNOWN
@@ -111,19 +111,30 @@ def _rim_points(face: IntArray) -> FloatArray:
     return most
 
 
-def ground_reach(surface: HeightMap) -> int:
+def others_reach(surface: HeightMap, noise: float) -> int:
+    """Cells within which other points decide on a ledge: they tell what the noise made."""
+    return int(np.ceil((FACE + noise) / surface.cell_width)) + 1 if noise > 0.0 else 0
+
+
+def ground_reach(surface: HeightMap, noise: float) -> int:
     """Cells within which the ground's points decide on a ledge."""
-    return int(np.ceil(2.0 * FACE / surface.cell_width)) + 1
+    return int(np.ceil((2.0 * FACE + noise) / surface.cell_width)) + 1
 
 
-def ledge_reach(surface: HeightMap) -> int:
+def ledge_reach(surface: HeightMap, noise: float) -> int:
     """Cells within which the ground decides what is a ledge."""
-    return max(HIGH, footing_reach(surface))
+    return max(_high(surface, noise), footing_reach(surface))
 
 
-def ledges_felt(touched: BoolArray, was: HeightMap, surface: HeightMap) -> BoolArray:
+def _high(surface: HeightMap, noise: float) -> int:
+    """Cells within which the ground says how high a step is, and from where on it is one."""
+    return max(HIGH, astray(surface, noise))
+
+
+def ledges_felt(touched: BoolArray, was: HeightMap, surface: HeightMap, noise: float) -> BoolArray:
     """Cells in which the ground may decide otherwise on ledges than before, where it is other in the `touched` ones."""
-    return widened(touched, HIGH) | by_treads(touched, ledge_reach(surface), (was, surface), 2)
+    felt = by_treads(touched, ledge_reach(surface, noise), (was, surface), 2)
+    return widened(touched, _high(surface, noise)) | felt
 
 
 def step_over(surface: HeightMap, noise: float) -> FloatArray:

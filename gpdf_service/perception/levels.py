@@ -16,7 +16,7 @@ from gpdf_service.ground.limits import Measured, limits_reach, step_and_slope
 from gpdf_service.perception.budget import KEPT_BYTES, LEVEL_BYTES, check_grid, give_back
 from gpdf_service.perception.cloud import Cloud, change_layers, find_strays
 from gpdf_service.perception.complete import complete
-from gpdf_service.perception.ledges import ground_reach, ledge_reach, ledges_felt
+from gpdf_service.perception.ledges import ground_reach, ledge_reach, ledges_felt, others_reach
 from gpdf_service.perception.others import Others, find_ledges_in, find_others, held_in
 from gpdf_service.perception.rays import Rays
 from gpdf_service.perception.seen import part_of, sheet_surface
@@ -121,9 +121,9 @@ def _find_sheets(floor: FloatArray, width: float, config: PerceptionConfig) -> t
 
 
 def change_levels(
-    old: Survey, cloud: Cloud, ground: BoolArray, stray: BoolArray, config: PerceptionConfig
+    old: Survey, cloud: Cloud, ground: BoolArray, stray: BoolArray, config: PerceptionConfig, noise: float = 0.0
 ) -> tuple[Levels, Survey]:
-    """`survey_levels` of a changed cloud.
+    """`survey_levels` of a changed cloud, whose points had that `noise` before they were cured [m].
 
     Raises:
         WholeError: the ground has other bounds.
@@ -133,7 +133,7 @@ def change_levels(
     if layers is not near.layers:
         near = beside_now(near, layers, cells)
         sheets = split_sheets(near, config)
-    return _levels_of(Site(cloud, ground, stray, layers, cells, config), near, sheets, old.made)
+    return _levels_of(Site(cloud, ground, stray, layers, cells, config, noise), near, sheets, old.made)
 
 
 def _levels_of(
@@ -222,7 +222,8 @@ def _make_level(site: Site, sheet: BoolArray, part: Part, before: Made | None) -
         grid = replace(grid, known=was.grid.known | grid.known)
     other = changed(was.level.surface, surface) | fresh
     surface = surface if other.any() else was.level.surface  # versions share it
-    felt = columns | ledges_felt(other, was.level.surface, surface) | widened(fresh, ledge_reach(surface))
+    felt = columns | ledges_felt(other, was.level.surface, surface, site.noise)
+    felt |= widened(fresh, ledge_reach(surface, site.noise))
     ledge, stepped = _ledges_of(site, surface, held, felt, was)
     touched = widened(stepped | other, 1) | grid.other_answers("measured", "ridges", "edges")  # all that limits tell
     if not touched.any():
@@ -237,7 +238,8 @@ def _ledges_of(
 
     Also the cells that hold other points, or ledges, shape (nx, ny).
     """
-    asked = widened(felt, ground_reach(surface)) | held.unlike
+    asked = widened(felt, ground_reach(surface, site.noise))
+    asked |= widened(held.unlike, others_reach(surface, site.noise))
     ledge = find_ledges_in(site, surface, held, asked)
     return ledge, held.unlike | unlike_cells(asked, was.first, was.level.ledge[:, None], held.first, ledge[:, None])
 

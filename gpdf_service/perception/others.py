@@ -19,7 +19,7 @@ from gpdf_service.ground.foot import LEAST_OBSTACLE
 from gpdf_service.ground.footing import flights, rings_of
 from gpdf_service.ground.level import OVERLAP, TALLEST, lowest_and_highest
 from gpdf_service.perception.cloud import Rows
-from gpdf_service.perception.ledges import find_ledges, ground_reach, ledge_reach
+from gpdf_service.perception.ledges import find_ledges, ground_reach, ledge_reach, others_reach
 from gpdf_service.perception.notches import FLIGHT
 from gpdf_service.perception.site import Made, Site
 from gpdf_service.perception.voids import MAX_HOLE_RADIUS, find_rims, find_voids
@@ -179,13 +179,19 @@ def _changed(was: Made, cells: BoolArray, begin: IntArray, fresh: FloatArray) ->
 
 def find_ledges_in(site: Site, surface: HeightMap, held: Others, asked: BoolArray) -> Float32Array:
     """The ledges, `find_ledges`, with those in the cells that are `asked` for told anew, box after box."""
-    ledge, shape = held.ledge.copy(), surface.state.shape
-    reach = max(shape) if site.noise > 0.0 else ground_reach(surface) + ledge_reach(surface)  # noise asks others, too
+    ledge, shape, noise = held.ledge.copy(), surface.state.shape, site.noise
+    aside, ground = others_reach(surface, noise), ground_reach(surface, noise)
+    reach = aside + ground + ledge_reach(surface, noise)
     for box in boxes_of(asked, reach):
-        outer, cells = grown(box, reach, shape), np.zeros(shape, dtype=bool)
-        cells[grown(box, ground_reach(surface), shape)] = True
-        own, floor = rows_in(held.first, box, shape), site.cloud.chosen(surface, _read(site, cells), site.ground)
-        ledge[own] = find_ledges(surface, floor, held.points[own], site.config.max_step, site.noise, outer)
+        near, outer, cells = grown(box, aside, shape), grown(box, reach, shape), np.zeros(shape, dtype=bool)
+        cells[grown(near, ground, shape)] = True
+        floor, others = site.cloud.chosen(surface, _read(site, cells), site.ground), rows_in(held.first, near, shape)
+        found = find_ledges(surface, floor, held.points[others], site.config.max_step, noise, outer)
+        if near == box:
+            ledge[others] = found
+        else:
+            own, all_ = (np.arange(len(ledge))[rows] for rows in (rows_in(held.first, box, shape), others))
+            ledge[own] = found[np.searchsorted(all_, own)]
     return ledge
 
 

@@ -14,7 +14,7 @@ from gpdf_service.ground.footing import bridged, footing_reach
 from gpdf_service.ground.level import OVERLAP
 from gpdf_service.ground.limits import neighbourhood, smoothed
 from gpdf_service.perception.site import Part
-from gpdf_service.perception.smooth import to_centres, with_rims
+from gpdf_service.perception.smooth import smooth_reach, to_centres, with_rims
 from gpdf_service.tiles.boxes import Box
 from gpdf_service.tiles.layers import BLOCK, Layers
 from gpdf_service.tiles.surface import OBSERVED, UNKNOWN, HeightMap, cropped
@@ -58,7 +58,7 @@ def sheet_surface(grid: Grid, layers: Layers, part: Part, max_step: float, noise
         height = bridged(made, max_step).height
         return height, made.height, np.where(np.isnan(height), UNKNOWN, OBSERVED).astype(np.uint8)
 
-    reach = max(whole.state.shape) if noise > 0.0 else 1 + footing_reach(whole)  # noise is smoothed further off
+    reach = smooth_reach(whole, noise) + footing_reach(whole)
     height, _, state = grid.around("seen", reach, answer, height, pairs)
     return replace(whole, height=height, state=state)
 

@@ -152,8 +152,7 @@ def segment(
     layers, relief = first_layers(cloud, config, width), LEVEL
     node = nodes_of(layers, cloud)
     if noise is not None:
-        relief = np.zeros(len(layers.cell))
-        np.maximum.at(relief, node, noise)
+        relief = _relief_of(layers, node, noise)
     found = segment_layers(beside(layers), config, relief, (cloud, node), pitch=pitch)
     return found.holds(cloud, node), found.lasting()
 
@@ -182,27 +181,48 @@ def segment_layers(
         low = np.concatenate(ground) & (near.layers.thickness <= config.max_step)  # a wall's foot tells no scatter
         off = off_ground(*held, low, np.concatenate(smooth))
         deviation = ROBUST * float(np.median(off)) if len(off) else 0.0
-    extents = partial(_extents, scatter=scatter_of(deviation, relief), config=config)
-    *ends, under = near.around("extents", 2, extents, ground, smooth)
+    least = scatter_of(deviation, relief)
+    told = (near.given("scatter", least),) if len(least) > 1 else ()
+    extents = partial(_extents, config=config, least=least)
+    *ends, under = near.around("extents", 2, extents, ground, smooth, *told)
     if pitch > 0.0:
         ends[:] = near.around("rungs", 1, partial(_with_rungs, pitch=pitch), ground, *ends)
     return Segmentation(near, (*ends, under), deviation, relief, pitch)
 
 
 def change_segmentation(
-    old: Segmentation, cloud: Cloud, before: BoolArray, config: PerceptionConfig
+    old: Segmentation, cloud: Cloud, before: BoolArray, config: PerceptionConfig, noise: FloatArray | None = None
 ) -> tuple[Segmentation, BoolArray]:
-    """The segmentation of a changed cloud, and its ground, where `before` is what it was, shape (n,)."""
+    """The segmentation of a changed cloud, and its ground, where `before` is what it was, shape (n,).
+
+    The `noise` [m], (n,), is that which the points had there, if it was taken out; see `segment`.
+    """
     layers, cells = change_layers(old.layers, cloud, cloud.points.there, config)
+    relief = old.relief if noise is None else _relief_now(old, layers, cloud, cells, noise)
     found = old
-    if layers is not old.layers:
+    if layers is not old.layers or relief is not old.relief:
         now = beside_now(old.near, layers, cells)
-        found = segment_layers(now, config, old.relief, deviation=old.deviation, pitch=old.pitch)
+        found = segment_layers(now, config, relief, deviation=old.deviation, pitch=old.pitch)
         cells |= found.near.unlike(found.extents, old.near, old.extents)
     rows, points = cloud.part(layers, cells)
     ground = before.copy()
     ground[rows] = found.holds(points)
     return found, ground
+
+
+def _relief_of(layers: Layers, node: IntArray, noise: FloatArray) -> FloatArray:
+    """The most noise that the points of each node had [m], shape (k,), where these have that `node` and `noise`."""
+    relief = np.zeros(len(layers.cell))
+    np.maximum.at(relief, node, noise)
+    return relief
+
+
+def _relief_now(old: Segmentation, layers: Layers, cloud: Cloud, cells: BoolArray, noise: FloatArray) -> FloatArray:
+    """`_relief_of` nodes of which those in the `cells` may be others than before; the former array where none is."""
+    rows, points = cloud.part(layers, cells)
+    relief, asked = _relief_of(layers, nodes_of(layers, points), noise[rows]), cells.ravel()
+    relief[~asked[layers.cell]] = old.relief[~asked[old.layers.cell]]
+    return old.relief if np.array_equal(relief, old.relief) else relief
 
 
 def scatter_of(deviation: float, relief: FloatArray) -> FloatArray:
@@ -211,9 +231,16 @@ def scatter_of(deviation: float, relief: FloatArray) -> FloatArray:
 
 
 def _extents(
-    layers: Layers, _: BoolArray, ground: BoolArray, smooth: FloatArray, scatter: FloatArray, config: PerceptionConfig
+    layers: Layers,
+    _: BoolArray,
+    ground: BoolArray,
+    smooth: FloatArray,
+    *told: FloatArray,
+    least: FloatArray,
+    config: PerceptionConfig,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """`extents` of a `Segmentation`."""
+    """`extents` of a `Segmentation`; the scatter is `told` for each node, or the `least` everywhere."""
+    scatter = told[0] if told else least
     beneath, across = run_beside(
         partial(_ground_beside, layers, ground, smooth, scatter), partial(_across, layers, ground, smooth, config)
     )

@@ -60,6 +60,11 @@ def to_centres(surface: HeightMap, off: Float32Array, noise: float = 0.0) -> Hei
     return replace(surface, height=_onto_planes(surface.height, (off, surface.cell_width), 1, limits, rims=False))
 
 
+def smooth_reach(surface: HeightMap, noise: float) -> int:
+    """Cells within which heights decide on one at its cell's centre, without outliers and `with_rims`."""
+    return 1 if noise == 0.0 else 2 + max(_BESIDE, ceil(REACH * noise / surface.cell_width))
+
+
 def with_rims(surface: HeightMap, noise: float) -> HeightMap:
     """Each cell at a rim on the plane through the heights of its surface around it, where they are one.
 

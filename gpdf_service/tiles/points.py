@@ -67,11 +67,13 @@ class Points:
         base: Those of the first version.
         more: Those that came since [m], shape (k, 3).
         there: Which of all are there, shape (n + k,).
+        rank: By what they are in order, shape (n + k,); None where that is their numbers.
     """
 
     base: Base
     more: FloatArray
     there: BoolArray
+    rank: IntArray | None = None
 
     @property
     def count(self) -> int:
@@ -84,10 +86,21 @@ class Points:
         return len(self.more) == 0 and bool(self.there.all())
 
     @property
+    def all_numbers(self) -> IntArray:
+        """The numbers of those that are there, in order, shape (count,)."""
+        return self.in_order(np.flatnonzero(self.there))
+
+    def in_order(self, numbers: IntArray) -> IntArray:
+        """Some numbers, which ascend, in the order of their points."""
+        return numbers if self.rank is None else numbers[np.argsort(self.rank[numbers], kind="stable")]
+
+    @property
     def present(self) -> FloatArray:
-        """Those that are there, in the order of their numbers [m], shape (count, 3)."""
+        """Those that are there, in order [m], shape (count, 3)."""
         if self.untouched:
             return self.base.points
+        if self.rank is not None:
+            return self.taken(self.all_numbers)
         count = len(self.base.points)
         return chosen_rows(self.base.points, self.there[:count], self.more[self.there[count:]])
 
@@ -99,22 +112,23 @@ class Points:
         """Some of the points [m], by their numbers, shape (m, 3)."""
         return _taken(self.base.points, self.more, numbers) if len(self.more) else taken(self.base.points, numbers)
 
-    def changed(self, gone: IntArray, fresh: FloatArray) -> Points:
-        """The next version: without some, by their numbers, and with `fresh` ones, shape (m, 3)."""
+    def changed(self, gone: IntArray, fresh: FloatArray, rank: IntArray | None = None) -> Points:
+        """The next version: without some, by their numbers, and with `fresh` ones, (m, 3), of that `rank`, (m,)."""
         there = np.concatenate([self.there, np.ones(len(fresh), dtype=bool)])
         there[gone] = False
-        return Points(self.base, np.concatenate([self.more, fresh]), there)
+        ranks = None if self.rank is None or rank is None else np.concatenate([self.rank, rank])
+        return Points(self.base, np.concatenate([self.more, fresh]), there, ranks)
 
     def rows_in_cells(
         self, origin: FloatArray, width: float, wanted: BoolArray, kind: BoolArray | None = None
     ) -> IntArray:
-        """Numbers of the points that are there in the `wanted` cells, (nx, ny), of a grid; they ascend.
+        """Numbers of the points that are there in the `wanted` cells, (nx, ny), of a grid; in order.
 
         If a `kind` is given, shape (n + k,), only those of it; none of it may have gone.
         """
         grid, count, asked = (origin, width, wanted), len(self.base.points), self.there if kind is None else kind
         rows, more = _inside(self.base.points, asked, self.base.squares, grid), rows_in_cells(self.more, *grid)
-        return np.concatenate([np.sort(rows), more[asked[count + more]] + count])
+        return self.in_order(np.concatenate([np.sort(rows), more[asked[count + more]] + count]))
 
     def bounds(self, chosen: BoolArray) -> tuple[FloatArray, FloatArray]:
         """Least and greatest (x, y) [m] of the `chosen` points, shape (n + k,)."""
@@ -123,9 +137,9 @@ class Points:
         return np.minimum(ends[0][0], ends[1][0]), np.maximum(ends[0][1], ends[1][1])
 
 
-def points_of(points: FloatArray) -> Points:
-    """The points of a first version [m], shape (n, 3)."""
-    return Points(Base(points), np.zeros((0, 3)), np.ones(len(points), dtype=bool))
+def points_of(points: FloatArray, rank: IntArray | None = None) -> Points:
+    """The points of a first version [m], shape (n, 3), of a `rank` that ascends, (n,), if not of their numbers."""
+    return Points(Base(points), np.zeros((0, 3)), np.ones(len(points), dtype=bool), rank)
 
 
 @njit(cache=True, nogil=True)

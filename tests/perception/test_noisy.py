@@ -1,0 +1,85 @@
+"""Noise taken out tile by tile: no seam shows, and a change reaches no further than its tiles."""
+
+import numpy as np
+import pytest
+
+from gpdf_service.config import PerceptionConfig
+from gpdf_service.denoise import denoise
+from gpdf_service.perception.noisy import Tiles, change_noisy, moved, without_noise
+from gpdf_service.synthetic.scenes import random_room
+from gpdf_service.tiles.points import points_of
+
+NOISE, SPACING = 0.01, 0.02
+
+
+@pytest.fixture(scope="module")
+def room():
+    made = random_room(np.random.default_rng(2), noise=NOISE, spacing=SPACING)
+    return made.points, made.ground
+
+
+@pytest.fixture(scope="module")
+def noisy(room):
+    return without_noise(points_of(room[0]), room[1], tiles_at(room[0]), PerceptionConfig())[0]
+
+
+def tiles_at(points, off=0.0):
+    x, y = (np.floor(points[:, :2].min(axis=0)) - off).tolist()
+    return Tiles(NOISE, SPACING, (x, y))
+
+
+def test_each_point_is_in_one_tile_and_in_the_halo_of_those_near(room):
+    points = room[0]
+    tiles, held = tiles_at(points), points_of(points)
+    told = np.zeros(len(points), dtype=int)
+    assert len(tiles.of(points)) > 4
+    for tile in tiles.of(points):
+        rows, own = tiles.rows(held, tile)
+        told[rows[own]] += 1
+    assert (told == 1).all()
+    near = tiles.near(points[:1])
+    for tile in tiles.of(points):
+        assert (tile in near) or 0 not in tiles.rows(held, tile)[0]
+
+
+def test_no_seam_shows(room, noisy):
+    points, ground = room
+    whole = denoise(points, NOISE, SPACING, ground)
+    off = np.linalg.norm(noisy.first.points - whole.points, axis=1)
+    assert (off > 0.1 * NOISE).mean() < 1e-3
+
+
+def test_other_tiles_tell_the_same_but_for_few_points(room, noisy):
+    points, ground = room
+    other = without_noise(points_of(points), ground, tiles_at(points, 1.0), PerceptionConfig())[0]
+    off = np.linalg.norm(noisy.last - other.last, axis=1)
+    assert (off > 0.1 * NOISE).mean() < 1e-3
+
+
+def test_a_change_is_told_of_its_tiles_alone(room, noisy):
+    """And what comes out as it was is in no cloud that others look at again."""
+    points, ground = room
+    fresh = points[:40] + [0.0, 0.0, 0.3]
+    now, cloud = change_noisy(noisy, np.arange(40), fresh, ground[:40], PerceptionConfig())
+    gone_and_new = np.concatenate([points[:40], fresh])
+    near = set(now.tiles.near(gone_and_new))
+    other = (now.first.points[: len(points)] != noisy.first.points).any(axis=1)
+    assert 0 < other.sum() < 0.1 * len(points)
+    assert set(now.tiles.of(points[other])) <= near
+    reach = np.linalg.norm(cloud.places[:, None, :2] - gone_and_new[None, :, :2], axis=2).min(axis=1)
+    assert reach.max() < 2.0 * now.tiles.width
+
+
+def test_points_at_other_places_keep_their_order(room):
+    points = room[0][:1000]
+    there = np.arange(1000) % 3 > 0
+    first = moved(points, there)
+    places, others = points + 0.01, np.array([0, 5, 900])
+    now, cloud = first.now(others, np.ones(1000, dtype=bool), places)
+    expected = np.flatnonzero(there | np.isin(np.arange(1000), others))
+    shown = np.where(np.isin(expected, others)[:, None], places[expected], points[expected])
+    np.testing.assert_array_equal(now.points.present, shown)
+    np.testing.assert_array_equal(now.points.rank[now.points.all_numbers], expected)
+    assert len(cloud.places) == 4  # where 5 was, and where all three are
+    told = now.told(np.arange(1000))
+    np.testing.assert_array_equal(told[now.number[expected]], expected)
