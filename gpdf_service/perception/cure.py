@@ -10,7 +10,7 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.denoise import Denoised, estimate_noise
 from gpdf_service.fields import build_tree, estimate_spacing
 from gpdf_service.ground import voxel_pitch
-from gpdf_service.perception.noisy import Noisy, Tiles, without_noise
+from gpdf_service.perception.noisy import Noisy, Tiles, tiles_over, without_noise
 from gpdf_service.perception.segment import Segmentation, segment
 from gpdf_service.tiles.columns import compacted
 from gpdf_service.tiles.points import points_of
@@ -102,15 +102,14 @@ def cure_and_segment(
         noise = _with_double(points, floor, sample, least)
         if noise <= least:
             return CuredGround(_clean(points, noise), floor, found)
-    x, y = np.floor(bounds_of(points)[0]).tolist()
-    return _cured(points, ground, Tiles(noise, spacing, (x, y)), None, config)
+    return _cured(points, ground, tiles_over(points, noise, spacing), None, config)
 
 
 def _cured(
     points: FloatArray, ground: BoolArray | None, tiles: Tiles, width: float | None, config: PerceptionConfig
 ) -> CuredGround:
     """A cloud whose noise is taken out."""
-    noisy = without_noise(points_of(points), ground, tiles, config, width=width)[0]
+    noisy = without_noise(points, ground, tiles, config, width)
     cured = noisy.explained._replace(points=noisy.last, measured=noisy.noise)
     return CuredGround(cured, noisy.ground, noisy.segmentation, noisy)
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from math import ceil
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,7 +30,7 @@ from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception.cloud import Cloud
 from gpdf_service.perception.segment import Segmentation, change_segmentation, segment
 from gpdf_service.tiles.points import Points, points_of
-from gpdf_service.tiles.rows import taken
+from gpdf_service.tiles.rows import bounds_of, taken
 from gpdf_service.tiles.width import in_steps
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -41,53 +40,67 @@ _APART = 2.0
 """[-] Standard deviations off a surface of their own that outliers are at least, of labelled ground and where nobody
 labelled it: the rim of a lid that was taken for ground is nearer to the lid's side than that, and stays where it was
 measured, and so do a table's legs 7 cm before a wall."""
-_HALOS = 8
-"""Halos along a side of a tile: its points and those around are looked at one and a half times as often as once."""
-
-_NONE: IntArray = np.zeros(0, np.int64)
+_HALOS = 12
+"""Halos along a side of a tile, about: then its points and those around are a third more than its own."""
+_SEEN = 2.1
+"""Halos from a tile within which its points may see another: a halo of whole cells, and rounding."""
 
 
 class Tiles(NamedTuple):
-    """Squares in plan that a cloud's noise is taken out by.
+    """Rectangles in plan that a cloud's noise is taken out by.
 
     Attributes:
         noise: Standard deviation of the points along the normal [m].
         spacing: Between neighbours on a surface [m].
         corner: Of one of the tiles [m].
+        width: Of each in x and y [m], of whole cubes that are as noisy all over.
     """
 
     noise: float
     spacing: float
     corner: tuple[float, float]
+    width: tuple[float, float]
 
     @property
-    def width(self) -> float:
-        """Of a tile [m]: of whole cubes that are as noisy all over."""
-        return ceil(_HALOS * halo_of(self.noise, self.spacing) / BLOCK) * BLOCK
+    def halo(self) -> float:
+        """How far around a tile points decide on its own, at least [m]."""
+        return halo_of(self.noise, self.spacing)
 
     def near(self, points: FloatArray) -> list[tuple[int, int]]:
         """The tiles that hold any of the points, (n, 3) [m], in them or in their halo."""
-        further = self.width / (_HALOS - 1)  # than a halo: rounding
-        sides = [(x, y) for x in (-further, further) for y in (-further, further)]
-        return sorted({tile for side in sides for tile in self.of(points + np.array([*side, 0.0]))})
-
-    def of(self, points: FloatArray) -> list[tuple[int, int]]:
-        """The tiles that hold any of the points, (n, 3) [m]."""
-        x, y = self._index(points).T
-        low, count = y.min(initial=0), max(int(y.max(initial=0)) - int(y.min(initial=0)), 0) + 1
-        return [(int(n // count), int(low + n % count)) for n in np.unique(x * count + (y - low))]
+        if len(points) == 0:
+            return []
+        halo, corner = self.halo, np.array(self.corner)
+        cells = np.floor((points[:, :2] - corner) / halo).astype(np.int64)
+        low, count = cells.min(axis=0), np.ptp(cells[:, 1]) + 1
+        x, y = np.divmod(np.unique((cells - low) @ [count, 1]), count)
+        near = corner + halo * (np.column_stack([x, y]) + low)
+        ends = (near + halo * np.array([i, j]) for i in (-_SEEN, 1 + _SEEN) for j in (-_SEEN, 1 + _SEEN))
+        tiles = (np.unique(np.floor((end - corner) / self.width).astype(int), axis=0).tolist() for end in ends)
+        return sorted({(x, y) for each in tiles for x, y in each})
 
     def rows(self, points: Points, tile: tuple[int, int]) -> tuple[IntArray, BoolArray]:
         """Numbers of the points in a tile and its halo, shape (k,), and which of them are in the tile itself."""
-        halo, origin = self.width / _HALOS, np.array(self.corner) + self.width * np.array(tile)
-        rows = points.rows_in_cells(origin - halo, halo, np.ones((_HALOS + 2, _HALOS + 2), dtype=bool))
-        own: BoolArray = (self._index(points.taken(rows)) == tile).all(axis=1)
+        halo, (low, high) = self.halo, self._ends(np.array([tile, (tile[0] + 1, tile[1] + 1)]))
+        cells = np.ceil((high - low) / halo).astype(int) + 2
+        rows = points.rows_in_cells(low - halo, halo, np.ones(cells, dtype=bool))
+        (x, y), (left, near), (right, far) = points.taken(rows).T[:2], low, high
+        own: BoolArray = (x >= left) & (x < right) & (y >= near) & (y < far)
         return rows, own
 
-    def _index(self, points: FloatArray) -> IntArray:
-        """The tile in which each point is, shape (n, 2)."""
-        index: IntArray = np.floor((points[:, :2] - self.corner) / self.width).astype(np.int64)
-        return index
+    def _ends(self, tiles: IntArray) -> FloatArray:
+        """Where tiles, (k, 2), begin [m]: in whole metres, to the bit."""
+        begin: FloatArray = np.array(self.corner) + np.array(self.width) * tiles
+        return begin
+
+
+def tiles_over(points: FloatArray, noise: float, spacing: float) -> Tiles:
+    """Tiles that the points, (n, 3) [m], fill evenly: a room is one, or some, and none is a strip at its end."""
+    (low, high), most = bounds_of(points), _HALOS * halo_of(noise, spacing)
+    corner = np.floor(low / BLOCK) * BLOCK
+    count = np.maximum(np.round((high - corner) / most), 1.0)
+    width = np.ceil(np.maximum((high - corner) / count, 0.5 * most) / BLOCK) * BLOCK
+    return Tiles(noise, spacing, (float(corner[0]), float(corner[1])), (float(width[0]), float(width[1])))
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +121,9 @@ class Moved:
         Of the points that are `other`, by ascending numbers in the cloud, those that are `there`, shape (n,), are at
         their `places`, shape (n, 3) [m].
         """
+        if len(self.number) == 0:
+            made = moved(places, there)
+            return made, Cloud(made.points, places[:0])
         number = np.concatenate([self.number, np.full(len(there) - len(self.number), -1)])
         gone, rows = number[other], other[there[other]]
         gone = gone[gone >= 0]
@@ -134,7 +150,7 @@ class Noisy:
         tiles: By which its noise is taken out.
         labels: Which are ground, where that was given.
         first: Off the noise.
-        kept: Without strays: what the ground is found in; None with labels.
+        kept: Without strays: what the ground is found in, where there are no labels.
         segmentation: Of these.
         ground: Which are ground.
         explained: Where what is doubtful was put back to where it is from, and strays are told.
@@ -146,7 +162,7 @@ class Noisy:
     tiles: Tiles
     labels: BoolArray | None
     first: Denoised
-    kept: Moved | None
+    kept: Moved
     segmentation: Segmentation | None
     ground: BoolArray
     explained: Denoised
@@ -169,66 +185,35 @@ class Noisy:
 
 
 def without_noise(
-    points: Points,
+    points: FloatArray,
     labels: BoolArray | None,
     tiles: Tiles,
     config: PerceptionConfig,
-    *,
     width: float | None = None,
-    was: Noisy | None = None,
-    news: IntArray = _NONE,
-) -> tuple[Noisy, Cloud]:
-    """A cloud without its noise, and where what the levels are built of is other than in the version before.
+) -> Noisy:
+    """A cloud without its noise, and its ground: a change of one without points.
 
     Labels keep the surfaces of ground and of the rest apart: at the foot of a wall a window holds both. A cloud without
     labels is denoised as a whole, and then segmented.
 
     Args:
-        points: As they were measured.
+        points: As they were measured [m], shape (n, 3).
         labels: Which are ground, shape (n,), where that is given.
         tiles: By which the noise is taken out.
         config: Limits.
         width: Of the cells that the ground is found in [m]; measured when not given.
-        was: The version before, if there was one.
-        news: Numbers, which ascend, of the points that came since, and of those that went.
     """
-    count = len(points.there)
-    first = (
-        as_measured(points.present.copy(), tiles.noise) if was is None else was.first.each(partial(longer, count=count))
-    )
-    asked = tiles.of(points.present) if was is None else tiles.near(points.taken(news))
-    other = _tell(points, tiles, asked, first, partial(_denoised, points, tiles, labels)) | _among(news, count)
-    if labels is None:
-        kept, segmentation, ground = _find_ground(first, points.there & ~first.stray, other, was, width, config)
-    else:
-        kept, segmentation, ground = None, None, labels
-    if was is None:
-        explained = first.each(np.copy)
-    else:
-        other |= ground != longer(was.ground, count)
-        asked, explained = (
-            tiles.near(points.taken(np.flatnonzero(other))),
-            was.explained.each(partial(longer, count=count)),
-        )
-    explain = partial(_explained, points, tiles, first, ground, labels is not None)
-    other = _tell(points, tiles, asked, explained, explain) | _among(news, count)
-    last = explained.points
-    if labels is not None:
-        last = _settled(points, ground, explained)
-        other |= True if was is None else (last != longer(was.last, count)).any(axis=1)
-    there = points.there & ~explained.stray
-    if was is None:
-        held = moved(last, there)
-        cloud = Cloud(held.points, last[:0])
-    else:
-        held, cloud = was.held.now(np.flatnonzero(other), there, last)
-    return Noisy(points, tiles, labels, first, kept, segmentation, ground, explained, last, held), cloud
+    none = np.zeros(0, dtype=bool)
+    nothing = moved(points[:0], none)
+    first = as_measured(points[:0], tiles.noise)
+    was = Noisy(points_of(points[:0]), tiles, labels, first, nothing, None, none, first, points[:0], nothing)
+    return _changed(was, points_of(points), labels, np.arange(len(points)), config, width)[0]
 
 
 def change_noisy(
     was: Noisy, gone: IntArray, fresh: FloatArray, labels: BoolArray | None, config: PerceptionConfig
 ) -> tuple[Noisy, Cloud]:
-    """The next version of a cloud: see `without_noise`.
+    """The next version of a cloud, and where what the levels are built of is other than before.
 
     Points are `gone`, by their numbers, and `fresh` ones came, shape (k, 3) [m]: of a cloud with labels with theirs.
     """
@@ -237,7 +222,36 @@ def change_noisy(
     told = None
     if was.labels is not None and labels is not None:
         told = np.concatenate([was.labels, labels]) & points.there
-    return without_noise(points, told, was.tiles, config, was=was, news=news)
+    return _changed(was, points, told, news, config)
+
+
+def _changed(
+    was: Noisy,
+    points: Points,
+    labels: BoolArray | None,
+    news: IntArray,
+    config: PerceptionConfig,
+    width: float | None = None,
+) -> tuple[Noisy, Cloud]:
+    """See `change_noisy`; `news` are the numbers, which ascend, of points that went, or came."""
+    tiles, count, new = was.tiles, len(points.there), np.zeros(len(points.there), dtype=bool)
+    new[news] = True
+    first = was.first.each(partial(longer, count=count))
+    other = new | _tell(points, tiles, news, first.arrays, partial(_denoised, points, tiles, labels))
+    if labels is None:
+        kept, segmentation, ground = _find_ground(was, first, points.there & ~first.stray, other, config, width)
+    else:
+        kept, segmentation, ground = was.kept, None, labels
+    other |= ground != longer(was.ground, count)
+    places, noise, stray = made = tuple(longer(each, count) for each in _explained_of(was.explained))
+    explain = partial(_explained, points, tiles, first, ground, labels is not None)
+    other = new | _tell(points, tiles, np.flatnonzero(other), made, explain)
+    explained, last = first._replace(points=places, noise=noise, stray=stray), places
+    if labels is not None:
+        last = _settled(points, ground, explained)
+        other |= (last != longer(was.last, count)).any(axis=1)
+    held, cloud = was.held.now(np.flatnonzero(other), points.there & ~stray, last)
+    return Noisy(points, tiles, labels, first, kept, segmentation, ground, explained, last, held), cloud
 
 
 def moved(places: FloatArray, there: BoolArray) -> Moved:
@@ -252,16 +266,14 @@ def longer(values: NDArray[Any], count: int) -> NDArray[Any]:
     return np.concatenate([values, np.zeros((count - len(values), *values.shape[1:]), values.dtype)])
 
 
-def _among(numbers: IntArray, count: int) -> BoolArray:
-    found = np.zeros(count, dtype=bool)
-    found[numbers] = True
-    return found
-
-
 def _tell(
-    points: Points, tiles: Tiles, asked: list[tuple[int, int]], made: Denoised, tell: Callable[[IntArray], Denoised]
+    points: Points,
+    tiles: Tiles,
+    news: IntArray,
+    told: tuple[NDArray[Any], ...],
+    tell: Callable[[IntArray], tuple[NDArray[Any], ...]],
 ) -> BoolArray:
-    """Write what is told of the points in the `asked` tiles; of which it is other than before, shape (n,).
+    """Write what is told of the points in tiles with any of the `news`; of which it is other than before, shape (n,).
 
     The question is called with the numbers of points in a tile and around it.
     """
@@ -271,59 +283,58 @@ def _tell(
         rows, own = tiles.rows(points, tile)
         if not own.any():
             return
-        inner, told = rows[own], tell(rows)
-        for whole, fresh in zip(made.arrays, told.arrays, strict=True):
-            differs = whole[inner] != fresh[own]
-            other[inner] |= differs if differs.ndim == 1 else differs.any(axis=1)
-            whole[inner] = fresh[own]
+        inner, fresh = rows[own], tell(rows)
+        for whole, now in zip(told, fresh, strict=True):
+            made = now[own]
+            other[inner] |= (made != whole[inner]).reshape(len(made), -1).any(axis=1)
+            whole[inner] = made
 
-    run_parallel(one, asked)
+    run_parallel(one, tiles.near(points.taken(news)))
     return other
 
 
-def _denoised(points: Points, tiles: Tiles, labels: BoolArray | None, rows: IntArray) -> Denoised:
-    return denoise(points.taken(rows), tiles.noise, tiles.spacing, None if labels is None else labels[rows])
+def _denoised(points: Points, tiles: Tiles, labels: BoolArray | None, rows: IntArray) -> tuple[NDArray[Any], ...]:
+    parts = None if labels is None else labels[rows]
+    return denoise(points.taken(rows), tiles.noise, tiles.spacing, parts).arrays
 
 
 def _find_ground(
-    first: Denoised,
-    there: BoolArray,
-    other: BoolArray,
-    was: Noisy | None,
-    width: float | None,
-    config: PerceptionConfig,
+    was: Noisy, first: Denoised, there: BoolArray, other: BoolArray, config: PerceptionConfig, width: float | None
 ) -> tuple[Moved, Segmentation, BoolArray]:
     """The points that are `there`, shape (n,), in what their ground is found, and which of the cloud are ground."""
-    ground = np.zeros(len(there), dtype=bool)
-    if was is None or was.kept is None or was.segmentation is None:
-        kept = moved(first.points, there)
-        own, found = segment(kept.points.present, config, width=width, noise=kept.told(first.local))
+    kept, cloud = was.kept.now(np.flatnonzero(other), there, first.points)
+    noise, ground = kept.told(first.local), np.zeros(len(there), dtype=bool)
+    if was.segmentation is None:
+        own, found = segment(kept.points.present, config, width=width, noise=noise)
     else:
-        kept, cloud = was.kept.now(np.flatnonzero(other), there, first.points)
         before = kept.told(longer(was.ground, len(there)))
-        own_noise = kept.told(first.local)
-        found, own = change_segmentation(was.segmentation, cloud, before, config, own_noise)
+        found, own = change_segmentation(was.segmentation, cloud, before, config, noise)
     ground[there] = own[kept.number[there]]
     return kept, found, ground
 
 
+def _explained_of(told: Denoised) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """What `_explained` tells."""
+    return told.points, told.noise, told.stray
+
+
 def _explained(
     points: Points, tiles: Tiles, first: Denoised, ground: BoolArray, labelled: bool, rows: IntArray
-) -> Denoised:
+) -> tuple[NDArray[Any], ...]:
     """Points of which some are put back to the surface that explains them, and which are strays.
 
     With labels the floor explains nothing that was labelled as no ground, and no thing what is ground. Without, ground
     is put back nowhere: such points clump, and leave cells empty.
     """
-    own, floor = points.taken(rows), ground[rows]
-    cured = first.each(lambda told: told[rows])
+    own, floor, cured = points.taken(rows), ground[rows], first.each(lambda told: told[rows])
     if labelled:
         cured.stray[~floor] = False  # what is alone goes back to a surface that explains it, or stays where it is
         return_explained(own, ~floor, ~floor, cured, tiles.spacing)
         return_explained(own, floor, floor, cured, tiles.spacing, _APART)
-        return cured
+        return _explained_of(cured)
     return_explained(own, ~floor, floor, cured, tiles.spacing, _APART)
-    return cured._replace(stray=cured.stray | find_lifted(cured.points, floor, tiles.noise, tiles.spacing))
+    lifted = find_lifted(cured.points, floor, tiles.noise, tiles.spacing)
+    return _explained_of(cured._replace(stray=cured.stray | lifted))
 
 
 def _settled(points: Points, ground: BoolArray, cured: Denoised) -> FloatArray:
