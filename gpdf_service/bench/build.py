@@ -29,7 +29,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--scale", type=int, nargs="*", help="time and memory against the number of points instead: N …"
     )
     parser.add_argument(
-        "--noise", type=float, nargs="+", help="CPU time in random rooms with these deviations instead [m]: 0 0.01 …"
+        "--noise",
+        type=float,
+        nargs="+",
+        help="CPU time in random rooms, or of --changes, with these deviations instead [m]: 0 0.01 …",
     )
     parser.add_argument(
         "--changes", type=int, help="CPU time of so many changes of 1 m² instead, each beside a build from scratch"
@@ -48,15 +51,16 @@ def run(args: argparse.Namespace) -> int:
         counts = args.scale or (300_000, 1_000_000, 3_000_000)
         show([measure(count, tiled=args.tiles) for count in each(counts, "build")], as_json=args.json)
         return 0
+    if args.changes is not None:
+        scenes = [("hall", hall_of(args.hall), None)] if args.hall else clouds(args)
+        noisy = [(*scene, noise) for scene in scenes for noise in args.noise or (0.0,)]
+        show([measure_changes(*scene, args.changes, args.checked) for scene in noisy], as_json=args.json)
+        return 0
     if args.noise is not None:
         from gpdf_service.bench.build_noise import measure_noise
 
         rows = list(each(measure_noise(args.noise, args.rooms), "build", 2 * args.rooms * len(args.noise)))
         show(rows, as_json=args.json)
-        return 0
-    if args.changes is not None:
-        scenes = [("hall", hall_of(args.hall), None)] if args.hall else clouds(args)
-        show([measure_changes(*scene, args.changes, args.checked) for scene in scenes], as_json=args.json)
         return 0
     for name, points, _ in each(clouds(args), "build"):
         build = _median(lambda points=points: build_scene(points), args.repeat)  # type: ignore[misc]

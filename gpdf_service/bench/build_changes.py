@@ -24,19 +24,22 @@ TALL = 1.0
 """[m] What is put in reaches so far over the point that it is put at."""
 
 
-def measure_changes(name: str, points: FloatArray, ground: BoolArray | None, count: int, checked: int) -> Row:
+def measure_changes(
+    name: str, points: FloatArray, ground: BoolArray | None, noise: float, count: int, checked: int
+) -> Row:
     """Median and worst of `count` changes in turn, each of the version before: one taken away, one put in.
 
     Args:
         name: Of the scene.
         points: Its cloud [m], shape (n, 3).
         ground: Its labels, if there are some.
+        noise: Standard deviation of what is added to each coordinate [m].
         count: How many.
         checked: How many of them, the first ones, are compared with builds from scratch.
     """
-    scene = build_scene(points, ground)
+    scene = build_scene(points + noise * np.random.default_rng(2).normal(size=points.shape), ground)
     scene.free_space("human")
-    seconds, free, equal, whole = np.zeros(count), np.zeros(count), 0, 0
+    seconds, free, scratch, equal, whole = np.zeros(count), np.zeros(count), np.full(count, np.nan), 0, 0
     for i, change in enumerate(each(_warmed(scene, count), f"changes in {name}", count)):
         began = time.process_time()
         scene = scene.update(**change)
@@ -44,11 +47,16 @@ def measure_changes(name: str, points: FloatArray, ground: BoolArray | None, cou
         scene.free_space("human")
         seconds[i], free[i] = time.process_time() - began, time.process_time() - updated
         whole += not (scene.perceived and scene.perceived.touched)
-        equal += i < checked and not differences(scene, from_scratch(scene))
+        if i < checked:
+            again = from_scratch(scene)
+            again.free_space("human")
+            scratch[i] = time.process_time() - began - seconds[i]
+            equal += not differences(scene, again)
     return {
-        **{"scene": name, "points": len(points), "changes": count, "as_a_whole": whole},
+        **{"scene": name, "points": len(points), "noise_m": noise, "changes": count, "as_a_whole": whole},
         **{"median_cpu_s": float(np.median(seconds)), "worst_cpu_s": float(seconds.max())},
         **{"free_space_median_cpu_s": float(np.median(free))},
+        **({"from_scratch_median_cpu_s": float(np.nanmedian(scratch))} if checked else {}),
         "equal": f"{equal} of {min(count, checked)}",
     }
 

@@ -1,15 +1,18 @@
 import numpy as np
+import pytest
 
 import gpdf_service as gpdf
 from gpdf_service.bench.build_changes import differences, measure_changes
 from gpdf_service.synthetic.scenes import random_room
 
 
-def test_changes_of_a_room_are_measured_and_equal_builds():
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_changes_of_a_room_are_measured_and_equal_builds(noise):
     points = random_room(np.random.default_rng(7)).points
-    row = measure_changes("room", points, None, 2, 1)
-    assert (row["changes"], row["as_a_whole"], row["equal"]) == (2, 0, "1 of 1")
+    row = measure_changes("room", points, None, noise, 2, 1)
+    assert (row["noise_m"], row["changes"], row["as_a_whole"], row["equal"]) == (noise, 2, 0, "1 of 1")
     assert 0.0 < row["free_space_median_cpu_s"] < row["median_cpu_s"] <= row["worst_cpu_s"]
+    assert row["from_scratch_median_cpu_s"] > row["median_cpu_s"]
 
 
 def test_scenes_that_differ_are_told_apart():
