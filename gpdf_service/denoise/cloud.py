@@ -36,9 +36,9 @@ _WIDE = 2.0
 """[-] Width of the wide cells over that of the others: a window of 12 σ, as precise again, where all of it is flat."""
 _FLAT = 7
 """Votes, of the nine in a layer, that a wide cell's plane has more than where all around it is flat."""
-_HALO = 5
-"""Wide cells off a point whose points decide on it, but for one in a thousand: at an edge planes are taken from three
-off, and each is of points two further."""
+_HALO = 3
+"""Wide cells around some points without which these are told otherwise: at an edge planes are taken from as far. What
+is further off moves one point in five hundred by a tenth of the noise, and none of them nearer to where it is from."""
 _FEW = 0.01
 """[-] Of the points that are left, below which wider cells are not tried: they are outliers, not a surface."""
 _BIAS = 3.0
@@ -98,7 +98,7 @@ def as_measured(points: FloatArray, noise: float) -> Denoised:
 
 
 def halo_of(noise: float, spacing: float) -> float:
-    """How far off a point others decide on where it goes [m], in a cloud of that `noise` and `spacing` [m]."""
+    """How far around some points others are needed to denoise them [m]; see `denoise`."""
     return _HALO * _WIDE * _width_of(noise, spacing)
 
 

@@ -29,9 +29,10 @@ from gpdf_service.denoise import (
 from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception.cloud import Cloud
 from gpdf_service.perception.segment import Segmentation, change_segmentation, segment
+from gpdf_service.tiles.columns import compacted
 from gpdf_service.tiles.points import Points, points_of
-from gpdf_service.tiles.rows import bounds_of, taken
-from gpdf_service.tiles.width import in_steps
+from gpdf_service.tiles.rows import bounds_of, cells_of, taken
+from gpdf_service.tiles.width import columns_over, in_steps
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 NOISE_STEP = 0.001
@@ -42,8 +43,8 @@ labelled it: the rim of a lid that was taken for ground is nearer to the lid's s
 measured, and so do a table's legs 7 cm before a wall."""
 _HALOS = 12
 """Halos along a side of a tile, about: then its points and those around are a third more than its own."""
-_SEEN = 2.1
-"""Halos from a tile within which its points may see another: a halo of whole cells, and rounding."""
+_STEP = 0.25
+"""[-] Of a halo: places that are nearer to each other count as one when tiles are looked for that they are near to."""
 
 
 class Tiles(NamedTuple):
@@ -63,30 +64,32 @@ class Tiles(NamedTuple):
 
     @property
     def halo(self) -> float:
-        """How far around a tile points decide on its own, at least [m]."""
+        """How far around a tile points decide on its own [m]."""
         return halo_of(self.noise, self.spacing)
 
     def near(self, points: FloatArray) -> list[tuple[int, int]]:
         """The tiles that hold any of the points, (n, 3) [m], in them or in their halo."""
         if len(points) == 0:
             return []
-        halo, corner = self.halo, np.array(self.corner)
-        cells = np.floor((points[:, :2] - corner) / halo).astype(np.int64)
-        low, count = cells.min(axis=0), np.ptp(cells[:, 1]) + 1
-        x, y = np.divmod(np.unique((cells - low) @ [count, 1]), count)
-        near = corner + halo * (np.column_stack([x, y]) + low)
-        ends = (near + halo * np.array([i, j]) for i in (-_SEEN, 1 + _SEEN) for j in (-_SEEN, 1 + _SEEN))
-        tiles = (np.unique(np.floor((end - corner) / self.width).astype(int), axis=0).tolist() for end in ends)
-        return sorted({(x, y) for each in tiles for x, y in each})
+        size, (low, high) = _STEP * self.halo, bounds_of(points)
+        shape = columns_over(low, high, size)
+        cell, count, held = compacted(cells_of(points, low, size, shape), shape[0] * shape[1])
+        some = np.flatnonzero(np.bincount(cell, minlength=count))
+        begin = low - self.corner + size * np.column_stack(np.divmod(held[some] if len(held) else some, shape[1]))
+        off = -self.halo - size, self.halo + 2.0 * size
+        # x and y in one number, to be told apart at once
+        ends = [np.floor((begin + np.array([i, j])) / self.width) @ [1.0, 1.0j] for i in off for j in off]
+        return [(int(tile.real), int(tile.imag)) for tile in np.unique(np.concatenate(ends))]
 
     def rows(self, points: Points, tile: tuple[int, int]) -> tuple[IntArray, BoolArray]:
         """Numbers of the points in a tile and its halo, shape (k,), and which of them are in the tile itself."""
         halo, (low, high) = self.halo, self._ends(np.array([tile, (tile[0] + 1, tile[1] + 1)]))
-        cells = np.ceil((high - low) / halo).astype(int) + 2
+        cells = np.ceil((high - low) / halo).astype(int) + 3
         rows = points.rows_in_cells(low - halo, halo, np.ones(cells, dtype=bool))
-        (x, y), (left, near), (right, far) = points.taken(rows).T[:2], low, high
-        own: BoolArray = (x >= left) & (x < right) & (y >= near) & (y < far)
-        return rows, own
+        x, y = points.taken(rows).T[:2]
+        around = (x < high[0] + halo) & (y < high[1] + halo)
+        own: BoolArray = (x >= low[0]) & (x < high[0]) & (y >= low[1]) & (y < high[1])
+        return rows[around], own[around]
 
     def _ends(self, tiles: IntArray) -> FloatArray:
         """Where tiles, (k, 2), begin [m]: in whole metres, to the bit."""
