@@ -41,8 +41,8 @@ _APART = 2.0
 """[-] Standard deviations off a surface of their own that outliers are at least, of labelled ground and where nobody
 labelled it: the rim of a lid that was taken for ground is nearer to the lid's side than that, and stays where it was
 measured, and so do a table's legs 7 cm before a wall."""
-_HALOS = 12
-"""Halos along a side of a tile, about: then its points and those around are a third more than its own."""
+_HALOS = 16
+"""Halos along a side of a tile, about: then its points and those around are a quarter more than its own."""
 _STEP = 0.25
 """[-] Of a halo: places that are nearer to each other count as one when tiles are looked for that they are near to."""
 
