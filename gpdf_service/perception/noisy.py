@@ -31,7 +31,7 @@ from gpdf_service.perception.cloud import Cloud
 from gpdf_service.perception.segment import Segmentation, change_segmentation, segment
 from gpdf_service.tiles.columns import compacted
 from gpdf_service.tiles.points import Points, points_of
-from gpdf_service.tiles.rows import bounds_of, cells_of, taken
+from gpdf_service.tiles.rows import INDEX, bounds_of, cells_of, taken
 from gpdf_service.tiles.width import columns_over, in_steps
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -127,10 +127,10 @@ class Moved:
         if len(self.number) == 0:
             made = moved(places, there)
             return made, Cloud(made.points, places[:0])
-        number = np.concatenate([self.number, np.full(len(there) - len(self.number), -1)])
+        number = np.concatenate([self.number, np.full(len(there) - len(self.number), -1, INDEX)])
         gone, rows = number[other], other[there[other]]
         gone = gone[gone >= 0]
-        points = self.points.changed(gone, places[rows], rows)
+        points = self.points.changed(gone, places[rows], rows.astype(INDEX))
         number[other] = -1
         number[rows] = len(self.points.there) + np.arange(len(rows))
         return Moved(points, number), Cloud(points, np.concatenate([self.points.taken(gone), places[rows]]))
@@ -259,9 +259,9 @@ def _changed(
 
 def moved(places: FloatArray, there: BoolArray) -> Moved:
     """A first version of the points of a cloud that are `there`, shape (n,), at their `places`, shape (n, 3) [m]."""
-    rows, number = np.flatnonzero(there), np.full(len(there), -1)
+    rows, number = np.flatnonzero(there), np.full(len(there), -1, INDEX)
     number[rows] = np.arange(len(rows))
-    return Moved(points_of(taken(places, rows), rows), number)
+    return Moved(points_of(taken(places, rows), rows.astype(INDEX)), number)
 
 
 def longer(values: NDArray[Any], count: int) -> NDArray[Any]:
