@@ -64,11 +64,11 @@ lint: .venv/installed
 	.venv/bin/ruff check $(SOURCES)
 	.venv/bin/mypy
 
-# Types take one core for half a minute, where nothing was checked before: beside the tests no core waits.
+# Types take one core for half a minute, where nothing was checked before: beside the rest no core waits.
 check:
 	@$(MAKE) --no-print-directory -j 2 lint fast
 
-fast: .venv/installed
+fast: install
 	$(PYTEST) -q -m "not slow and not browser"
 
 fix: install
