@@ -621,8 +621,7 @@ def assemble_scene(
     if segmentation is not None:
         width = segmentation.layers.cell_width
     spread = 0.0 if noisy is None else noisy.noise
-    built = held.present, labelled, config.perception
-    levels, survey = survey_levels(*built, width=width, noise=spread, rays=rays, held=held)
+    levels, survey = survey_levels(held, labelled, config.perception, width=width, noise=spread, rays=rays)
     give_back(len(cloud))
     progress("fit ground fields", 0.7)
     fields = _fit_grounds(levels, config, like, range(len(like.surfaces)) if like is not None else ())

@@ -28,7 +28,7 @@ from gpdf_service.tiles.beside import Beside, beside, beside_now
 from gpdf_service.tiles.boxes import Box, widened
 from gpdf_service.tiles.columns import unlike_cells
 from gpdf_service.tiles.layers import Layers, build_layers
-from gpdf_service.tiles.points import Points, points_of
+from gpdf_service.tiles.points import Points
 from gpdf_service.tiles.rows import chosen_rows, rows_by_cell, taken
 from gpdf_service.tiles.surface import HeightMap, Nearest, changed, first_cell, is_same_ground, nearest_seen, placed
 from gpdf_service.tiles.told import Grid, moved, new_grid, shared
@@ -66,25 +66,23 @@ class Survey:
 
 
 def survey_levels(
-    points: FloatArray,
+    points: Points,
     ground: BoolArray,
     config: PerceptionConfig,
     *,
     width: float | None = None,
     noise: float = 0.0,
     rays: Rays | None = None,
-    held: Points | None = None,
 ) -> tuple[Levels, Survey]:
     """Build the sheets from labelled points, and say what they were made of.
 
     Args:
-        points: The cloud [m], shape (n, 3).
-        ground: Which points are ground, shape (n,).
+        points: The cloud, by numbers up to n.
+        ground: Which points are ground, shape (n,); none that is not there.
         config: Limits.
         width: Of the cells [m]; measured on the ground when not given.
         noise: Standard deviation that the points had before they were cured [m].
         rays: Of the scan, where they are known: they tell what inferred ground is free, and not rules.
-        held: The same points, where the versions that follow share them.
 
     Raises:
         NoGroundError: no point is ground.
@@ -93,20 +91,21 @@ def survey_levels(
         raise NoGroundError(
             "ground", "no point of the cloud is labelled ground", "Check the labels, or leave them out."
         )
-    floor = chosen_rows(points, ground)
-    check_grid(floor, len(points), widest_cell(config), LEVEL_BYTES, config)
+    floor, own = chosen_rows(points.base.points, ground), points.present
+    check_grid(floor, len(own), widest_cell(config), LEVEL_BYTES, config)
     width = cell_width_of(floor, config) if width is None else width
-    check_grid(floor, len(points), width, LEVEL_BYTES, config)
+    check_grid(floor, len(own), width, LEVEL_BYTES, config)
 
-    (near, sheets), stray = run_beside(
-        partial(_find_sheets, floor, width, config), partial(find_strays, points, alone(width))
+    (near, sheets), alone_ = run_beside(
+        partial(_find_sheets, floor, width, config), partial(find_strays, own, alone(width))
     )
     kept = sum(np.prod(part_of(near.layers, sheet).shape) for sheet in sheets) / np.prod(near.layers.shape) - 1.0
-    check_grid(floor, len(points), width, LEVEL_BYTES + KEPT_BYTES * max(kept, 0.0), config)
+    check_grid(floor, len(own), width, LEVEL_BYTES + KEPT_BYTES * max(kept, 0.0), config)
+    stray = np.zeros(len(ground), dtype=bool)
+    stray[points.there] = alone_
     stray &= ~ground
-    del floor
-    cells = np.ones(near.layers.shape, dtype=bool)
-    cloud = Cloud(held or points_of(points), points[:0])
+    cells, cloud = np.ones(near.layers.shape, dtype=bool), Cloud(points, own[:0])
+    del floor, own
     return _levels_of(Site(cloud, ground, stray, near.layers, cells, config, noise, rays), near, sheets)
 
 

@@ -30,8 +30,8 @@ from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception.cloud import Cloud
 from gpdf_service.perception.segment import Segmentation, change_segmentation, segment
 from gpdf_service.tiles.columns import compacted
-from gpdf_service.tiles.points import Points, points_of
-from gpdf_service.tiles.rows import INDEX, bounds_of, cells_of, taken
+from gpdf_service.tiles.points import Base, Points, points_of
+from gpdf_service.tiles.rows import INDEX, bounds_of, cells_of
 from gpdf_service.tiles.width import columns_over, in_steps
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
@@ -258,10 +258,9 @@ def _changed(
 
 
 def moved(places: FloatArray, there: BoolArray) -> Moved:
-    """A first version of the points of a cloud that are `there`, shape (n,), at their `places`, shape (n, 3) [m]."""
-    rows, number = np.flatnonzero(there), np.full(len(there), -1, INDEX)
-    number[rows] = np.arange(len(rows))
-    return Moved(points_of(taken(places, rows), rows.astype(INDEX)), number)
+    """A first version of a cloud's points that are `there`, (n,), at their `places`, (n, 3) [m], which it keeps."""
+    rank = np.arange(len(there), dtype=INDEX)
+    return Moved(Points(Base(places), places[:0], there, rank), np.where(there, rank, INDEX(-1)))
 
 
 def longer(values: NDArray[Any], count: int) -> NDArray[Any]:
@@ -306,12 +305,12 @@ def _find_ground(
 ) -> tuple[Moved, Segmentation, BoolArray]:
     """The points that are `there`, shape (n,), in what their ground is found, and which of the cloud are ground."""
     kept, cloud = was.kept.now(np.flatnonzero(other), there, first.points)
-    noise, ground = kept.told(first.local), np.zeros(len(there), dtype=bool)
+    ground = np.zeros(len(there), dtype=bool)
     if was.segmentation is None:
-        own, found = segment(kept.points.present, config, width=width, noise=noise)
-    else:
-        before = kept.told(longer(was.ground, len(there)))
-        found, own = change_segmentation(was.segmentation, cloud, before, config, noise)
+        ground[there], found = segment(kept.points.present, config, width=width, noise=first.local[there])
+        return kept, found, ground
+    before = kept.told(longer(was.ground, len(there)))
+    found, own = change_segmentation(was.segmentation, cloud, before, config, kept.told(first.local))
     ground[there] = own[kept.number[there]]
     return kept, found, ground
 

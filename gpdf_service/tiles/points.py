@@ -137,9 +137,9 @@ class Points:
         return np.minimum(ends[0][0], ends[1][0]), np.maximum(ends[0][1], ends[1][1])
 
 
-def points_of(points: FloatArray, rank: IntArray | None = None) -> Points:
-    """The points of a first version [m], shape (n, 3), of a `rank` that ascends, (n,), if not of their numbers."""
-    return Points(Base(points), np.zeros((0, 3)), np.ones(len(points), dtype=bool), rank)
+def points_of(points: FloatArray) -> Points:
+    """The points of a first version [m], shape (n, 3)."""
+    return Points(Base(points), np.zeros((0, 3)), np.ones(len(points), dtype=bool))
 
 
 @njit(cache=True, nogil=True)

@@ -32,7 +32,7 @@ def flight(treads=10):
 def overhead(ground, slab):
     """Points of a slab that stop a human on the `ground`."""
     cloud = np.vstack([ground, slab])
-    level = survey_levels(cloud, np.arange(len(cloud)) < len(ground), PerceptionConfig())[0].levels[0]
+    level = survey_levels(points_of(cloud), np.arange(len(cloud)) < len(ground), PerceptionConfig())[0].levels[0]
     found = obstacles_of(level, HUMAN)
     return found.points[(found.points[:, 2] > slab[:, 2].min() - 0.01) & (found.kind == 0)]
 

@@ -20,6 +20,7 @@ from gpdf_service.perception.levels import survey_levels
 from gpdf_service.perception.seen import without_outliers
 from gpdf_service.perception.segment import segment_ground
 from gpdf_service.synthetic import SCENES, Box, World, ramp, random_room
+from gpdf_service.tiles.points import points_of
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap
 from gpdf_service.types import AGENTS, Status
 from tests.clients.two_storeys import make_house
@@ -33,7 +34,7 @@ def scan_of(world, spacing=0.04, noise=0.0, seed=0):
 
 def level_of(world, **options):
     points, ground = scan_of(world, **options)
-    levels = survey_levels(points, ground, CONFIG)[0].levels
+    levels = survey_levels(points_of(points), ground, CONFIG)[0].levels
     assert len(levels) == 1
     return levels[0]
 
@@ -69,7 +70,7 @@ def test_a_wall_alone_has_no_ground():
 
 def test_labels_without_ground_are_refused():
     with pytest.raises(NoGroundError):
-        survey_levels(np.zeros((5, 3)), np.zeros(5, dtype=bool), CONFIG)[0]
+        survey_levels(points_of(np.zeros((5, 3))), np.zeros(5, dtype=bool), CONFIG)[0]
 
 
 def test_the_real_office_keeps_its_floor_and_drops_its_tables(scan):
@@ -83,7 +84,7 @@ def test_the_real_office_keeps_its_floor_and_drops_its_tables(scan):
 def test_height_map_is_the_true_ground():
     rng = np.random.default_rng(5)
     scene = SCENES["cave"](rng)
-    level = survey_levels(scene.points, scene.ground, CONFIG)[0].levels[0]
+    level = survey_levels(points_of(scene.points), scene.ground, CONFIG)[0].levels[0]
     xy = rng.uniform([1, 1], [19, 11], (2000, 2))
     truth, found = scene.truth.ground_height(xy), level.surface.height_at(xy)
     both = ~np.isnan(truth) & ~np.isnan(found)
@@ -94,7 +95,7 @@ def test_height_map_is_the_true_ground():
 def test_a_hole_in_the_floor_is_inferred_and_one_at_the_rim_is_not():
     points, ground = scan_of(World((5.0, 5.0, 2.5), (), ceiling=False))
     hole = np.hypot(points[:, 0] - 2.5, points[:, 1] - 2.5) < 0.5
-    level = survey_levels(points[~hole], ground[~hole], CONFIG)[0].levels[0]
+    level = survey_levels(points_of(points[~hole]), ground[~hole], CONFIG)[0].levels[0]
     ix, iy, _ = level.surface.cells(np.array([[2.5, 2.5], [1.0, 1.0], [5.3, 2.5]]))
     assert level.surface.state[ix[:2], iy[:2]].tolist() == [INFERRED, OBSERVED]
     assert level.surface.height_at(np.array([[2.5, 2.5]]))[0] == pytest.approx(0.0, abs=0.01)
@@ -112,7 +113,7 @@ def test_a_pit_is_not_bridged_when_only_its_walls_were_seen(turn, seen):
     below = {"one wall": wall, "all walls": np.vstack(walls), "a reflection": wall[len(wall) // 2 :][8:10]}[seen]
     inside = (np.abs((points - (3.0, 3.0, 0.0)) @ rotation) < (0.5, 0.4, 0.1)).all(axis=1)
     cloud = np.vstack([points[~inside], below @ rotation.T + (3.0, 3.0, 0.0)])
-    surface = survey_levels(cloud, segment_ground(cloud), CONFIG)[0].levels[0].surface
+    surface = survey_levels(points_of(cloud), segment_ground(cloud), CONFIG)[0].levels[0].surface
     assert surface.contains(np.array([[3.0, 3.0]]))[0] == (seen == "a reflection")
     assert surface.contains(np.array([[2.0, 2.0]]))[0]
 
@@ -124,7 +125,7 @@ def test_a_pit_of_whose_walls_only_the_upper_end_was_seen_is_not_bridged():
     across, down = np.mgrid[2.5:2.92:0.02, -0.085:-0.02:0.01].reshape(2, -1)
     far = np.column_stack([across, np.full(across.size, 2.915), down])
     cloud = np.vstack([floor, far, far[:, [1, 0, 2]]])
-    surface = survey_levels(cloud, segment_ground(cloud), CONFIG)[0].levels[0].surface
+    surface = survey_levels(points_of(cloud), segment_ground(cloud), CONFIG)[0].levels[0].surface
     assert not surface.contains(np.array([[2.7, 2.7]])).any()
 
 
@@ -137,7 +138,7 @@ def test_the_inside_of_a_cupboard_is_not_called_free():
 def test_a_large_unseen_place_stays_unknown_and_stops_everybody():
     points, ground = scan_of(World((8.0, 8.0, 2.5), (), ceiling=False))
     hole = np.hypot(points[:, 0] - 4, points[:, 1] - 4) < 2.0
-    level = survey_levels(points[~hole], ground[~hole], CONFIG)[0].levels[0]
+    level = survey_levels(points_of(points[~hole]), ground[~hole], CONFIG)[0].levels[0]
     assert not level.surface.contains(np.array([[4.0, 4.0]])).any()
     found = obstacles_of(level, AGENTS["roomba"])
     rim = found.points[found.kind == ObstacleKind.UNKNOWN]
@@ -207,7 +208,7 @@ def test_the_face_of_a_drop_does_not_guard_its_edge():
     y, z = np.mgrid[0.0:4.0:step, -1.02:-0.01:step].reshape(2, -1)
     face = np.column_stack([np.full(y.size, 2.03), y, z])
     cloud = np.vstack([upper, face])
-    level = survey_levels(cloud, np.arange(len(cloud)) < len(upper), CONFIG)[0].levels[0]
+    level = survey_levels(points_of(cloud), np.arange(len(cloud)) < len(upper), CONFIG)[0].levels[0]
     edge = obstacles_of(level, AGENTS["roomba"]).points
     edge = edge[(np.abs(edge[:, 0] - 2.0) < 0.2) & (edge[:, 1] > 0.5) & (edge[:, 1] < 3.5)]
     assert np.diff(np.sort(edge[:, 1])).max() < AGENTS["roomba"].radius
@@ -371,7 +372,7 @@ def test_nothing_is_inferred_over_a_hatch_that_was_seen_through():
     points, ground = scan_of(World((5.0, 5.0, 2.5), (), ceiling=False))
     hatch = (np.abs(points[:, :2] - 2.5) < 0.4).all(axis=1)
     below = np.where(hatch[:, None], points - [0, 0, 3.0], points)
-    level = survey_levels(below, ground & ~hatch, CONFIG)[0].levels[0]
+    level = survey_levels(points_of(below), ground & ~hatch, CONFIG)[0].levels[0]
     assert not level.surface.contains(np.array([[2.5, 2.5]])).any()
 
 
@@ -381,7 +382,7 @@ def test_on_coarse_cells_a_bump_beside_a_low_step_is_no_step_face():
     floor = np.column_stack([x, y, np.where(x > 3.0, 0.12, 0.0)])
     bump = np.array([[2.85, 3.05, 0.06], [2.87, 3.1, 0.06]])  # 15 cm before the step, at half its height
     cloud = np.concatenate([floor, bump])
-    level = survey_levels(cloud, np.arange(len(cloud)) < len(floor), CONFIG)[0].levels[0]
+    level = survey_levels(points_of(cloud), np.arange(len(cloud)) < len(floor), CONFIG)[0].levels[0]
     assert level.surface.cell_width > 0.12
     found = obstacles_of(level, AGENTS["human"])
     assert (found.kind == ObstacleKind.MATERIAL).sum() == 2
@@ -433,7 +434,7 @@ def test_what_stands_where_no_ground_is_known_is_no_face():
     floor = np.column_stack([x, y, np.zeros(len(x))])[(x < 2.0) | (y > 3.5)]
     wall = np.column_stack([np.full(40, 2.2), np.linspace(0.5, 2.5, 40), np.linspace(0.1, 1.9, 40)])
     cloud = np.concatenate([floor, wall])
-    level = survey_levels(cloud, np.arange(len(cloud)) < len(floor), CONFIG)[0].levels[0]
+    level = survey_levels(points_of(cloud), np.arange(len(cloud)) < len(floor), CONFIG)[0].levels[0]
     ix, iy, inside = level.surface.cells(wall)
     assert inside.all()
     assert (level.surface.state[ix, iy] == UNKNOWN).all()
@@ -449,7 +450,7 @@ def test_what_is_labelled_as_no_ground_is_no_noise_of_the_floor_however_low_it_i
     things = np.array([[1.0, 1.0, 0.8 * noise], [2.0, 3.0, -0.5 * noise], [3.0, 1.0, 0.02]])
     far_below = np.array([[2.0, 2.0, -3.0 * noise]])
     cloud = np.concatenate([floor, things, far_below])
-    level = survey_levels(cloud, np.arange(len(cloud)) < len(floor), CONFIG, noise=noise)[0].levels[0]
+    level = survey_levels(points_of(cloud), np.arange(len(cloud)) < len(floor), CONFIG, noise=noise)[0].levels[0]
     found = obstacles_of(level, AGENTS["human"], Scan(noise))
     material = found.points[found.kind == ObstacleKind.MATERIAL]
     assert sorted(material[:, 0]) == pytest.approx([1.0, 2.0, 3.0])
@@ -544,7 +545,7 @@ def test_a_floating_point_stops_nobody_and_a_cable_does():
     cable = np.column_stack([np.full(25, 1.5), np.full(25, 2.5), np.arange(25) * 0.04 + 1.2])
     cloud = np.concatenate([points, [[3.5, 2.5, 1.2]], cable])
     assert np.flatnonzero(find_strays(cloud, 0.25)).tolist() == [len(points)]
-    level = survey_levels(cloud, np.append(ground, np.zeros(26, dtype=bool)), CONFIG)[0].levels[0]
+    level = survey_levels(points_of(cloud), np.append(ground, np.zeros(26, dtype=bool)), CONFIG)[0].levels[0]
     at = obstacles_of(level, AGENTS["human"]).points
     assert np.hypot(*(at[:, :2] - [1.5, 2.5]).T).min() == 0.0
     assert np.hypot(*(at[:, :2] - [3.5, 2.5]).T).min() > 1.0
@@ -712,7 +713,7 @@ def test_a_tread_is_ground_to_its_end_and_its_risers_are_joined_to_it():
     scene = SCENES["stair"](np.random.default_rng(1), 0.01)
     found = segment_ground(scene.points)
     assert found[scene.ground].mean() > 0.98
-    surface = survey_levels(scene.points, scene.ground, CONFIG)[0].levels[0].surface
+    surface = survey_levels(points_of(scene.points), scene.ground, CONFIG)[0].levels[0].surface
     foot, head = (surface.height_at(np.array([[x, 0.8]]))[0] for x in (2.1, 4.4))
     assert (foot, head) == pytest.approx((0.17, 1.53), abs=0.02)
 
@@ -726,7 +727,7 @@ def test_nothing_is_inferred_under_a_rock_that_was_seen_from_above_alone():
     points = lawn(np.random.default_rng(0))
     rock = (np.abs(points[:, :2] - 3.0) < 0.5).all(axis=1)
     points[rock, 2] = 0.8
-    surface = survey_levels(points, ~rock, CONFIG)[0].levels[0].surface
+    surface = survey_levels(points_of(points), ~rock, CONFIG)[0].levels[0].surface
     assert not surface.contains(np.array([[3.0, 3.0]])).any()
 
 
@@ -738,7 +739,9 @@ def test_the_floor_goes_on_through_a_hole_beside_a_low_box_and_not_through_one_t
     z, angle = (axis.ravel() for axis in np.meshgrid(np.arange(0.0, 1.5, 0.03), np.arange(0.5, 6.0, 0.05)))
     wall = np.column_stack([1.0 + 0.37 * np.cos(angle), 5.0 + 0.37 * np.sin(angle), z])
     cloud = np.concatenate([points[~hole], wall])
-    surface = survey_levels(cloud, np.arange(len(cloud)) < len(cloud) - len(wall), CONFIG)[0].levels[0].surface
+    surface = (
+        survey_levels(points_of(cloud), np.arange(len(cloud)) < len(cloud) - len(wall), CONFIG)[0].levels[0].surface
+    )
     assert surface.height_at(np.array([[3.0, 3.0]])) == pytest.approx(0.0, abs=0.02)
     assert not surface.contains(np.array([[1.0, 5.0]])).any()
 

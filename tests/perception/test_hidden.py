@@ -5,6 +5,7 @@ import pytest
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.perception.levels import survey_levels
+from gpdf_service.tiles.points import points_of
 from gpdf_service.tiles.surface import INFERRED, UNKNOWN
 
 
@@ -17,7 +18,7 @@ def floor_without(shadow):
 
 def surface_of(floor, things):
     cloud = np.concatenate([floor, things])
-    return survey_levels(cloud, np.arange(len(cloud)) < len(floor), PerceptionConfig())[0].levels[0].surface
+    return survey_levels(points_of(cloud), np.arange(len(cloud)) < len(floor), PerceptionConfig())[0].levels[0].surface
 
 
 def state_at(surface, x, y):

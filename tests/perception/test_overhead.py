@@ -8,6 +8,7 @@ from gpdf_service.bench.build_changes import differences, from_scratch
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.ground.obstacles import obstacles_of
 from gpdf_service.perception.levels import survey_levels
+from gpdf_service.tiles.points import points_of
 from gpdf_service.types import AGENTS
 
 HUMAN, SPACING, NOTHING = AGENTS["human"], 0.025, np.zeros((0, 3))
@@ -24,7 +25,7 @@ def stops(over, is_ground, below=NOTHING):
     floor = plane((0.0, 4.0), (0.0, 4.0), 0.0)
     cloud, ground = np.vstack([floor, over, below]), np.zeros(len(floor) + len(over) + len(below), dtype=bool)
     ground[: len(floor)], ground[len(floor) :][: len(over)] = True, is_ground
-    level = survey_levels(cloud, ground, PerceptionConfig())[0].levels[0]
+    level = survey_levels(points_of(cloud), ground, PerceptionConfig())[0].levels[0]
     found = obstacles_of(level, HUMAN)
     off = np.hypot(*(found.points[found.kind == 0][:, :2] - 2.0).T)
     return bool((off < HUMAN.radius).any())

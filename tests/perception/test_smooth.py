@@ -11,6 +11,7 @@ from gpdf_service.perception.holes import fill_holes
 from gpdf_service.perception.levels import survey_levels
 from gpdf_service.perception.smooth import to_centres, with_rims
 from gpdf_service.perception.voids import Voids
+from gpdf_service.tiles.points import points_of
 from gpdf_service.tiles.surface import OBSERVED, UNKNOWN, HeightMap, nearest_seen
 from gpdf_service.tiles.told import new_grid
 
@@ -64,7 +65,9 @@ def test_a_coarse_scan_of_a_slope_has_no_steps():
         return 0.25 * xy[:, 0] + 0.05 * np.sin(2.0 * xy[:, 1])
 
     points = np.column_stack([xy, floor(xy)])
-    surface = survey_levels(points, np.ones(len(points), dtype=bool), PerceptionConfig())[0].levels[0].surface
+    surface = (
+        survey_levels(points_of(points), np.ones(len(points), dtype=bool), PerceptionConfig())[0].levels[0].surface
+    )
     inner = ndimage.binary_erosion(surface.state != UNKNOWN, np.ones((3, 3)), iterations=3)
     assert step_and_slope(surface)[0][inner].max() < 0.02
     centres = surface.centres(inner)

@@ -7,6 +7,7 @@ import gpdf_service as gpdf
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.ground.footing import rings_of
 from gpdf_service.perception.levels import survey_levels
+from gpdf_service.tiles.points import points_of
 from gpdf_service.tiles.width import MIN_CELL, cell_width_of, widest_cell
 
 CONFIG = PerceptionConfig()
@@ -32,7 +33,7 @@ def dense(keep, step=0.02, side=8.0):
 
 
 def surface_of(floor):
-    return survey_levels(floor, np.ones(len(floor), dtype=bool), CONFIG)[0].levels[0].surface
+    return survey_levels(points_of(floor), np.ones(len(floor), dtype=bool), CONFIG)[0].levels[0].surface
 
 
 @pytest.mark.parametrize("made", [lattice, scattered])
