@@ -76,14 +76,12 @@ def change(
         WholeError: the cloud has other bounds; build it as a whole.
         NoGroundError: nothing in it is walkable.
     """
-    if len(gone) + len(fresh) == 0:
-        same = tuple(range(len(old.levels.levels)))
-        return replace(old, survey=replace(old.survey, former=same), touched=tuple((k, None) for k in same))
     if old.noisy is not None:
         noisy, cloud = change_noisy(old.noisy, gone, fresh, labels, config)
-        count = len(noisy.ground)
-        before = noisy.held.told(longer(old.noisy.ground, count))
-        return _changed(old, cloud, before, noisy.held.told(noisy.ground), None, noisy, config)
+        before = noisy.held.told(longer(old.noisy.ground, len(noisy.ground)))
+        return _changed(old, cloud, before, noisy.own_ground, None, noisy, config)
+    if len(gone) + len(fresh) == 0:
+        return _same(old, None)
     cloud = Cloud(old.points.changed(gone, fresh), np.concatenate([old.points.taken(gone), fresh]))
     before = longer(old.ground, len(cloud.points.there)) & cloud.points.there
     segmentation = old.segmentation
@@ -108,6 +106,8 @@ def _changed(
 ) -> Perceived:
     """What is known of a changed cloud, of whose points some are ground, shape (n,), and others were `before`."""
     cloud.add(before != ground)
+    if len(cloud.places) == 0:
+        return _same(old, noisy)
     stray = longer(old.survey.stray, len(ground)) & cloud.points.there
     again = _change_strays(stray, cloud, alone(old.survey.layers.cell_width)) & ~ground
     cloud.add(again != stray)
@@ -115,6 +115,13 @@ def _changed(
     levels, survey = change_levels(old.survey, cloud, ground, again, config, noise)
     touched = tuple(zip(survey.former, (made.touched for made in survey.made), strict=True))
     return Perceived(cloud.points, ground, segmentation, levels, survey, touched, noisy).lasting()
+
+
+def _same(old: Perceived, noisy: Noisy | None) -> Perceived:
+    """What was known, of a cloud in which nothing is other: what came and went were strays, at most."""
+    same = tuple(range(len(old.levels.levels)))
+    survey, touched = replace(old.survey, former=same), tuple((k, None) for k in same)
+    return replace(old, survey=survey, touched=touched, noisy=noisy)
 
 
 def _change_strays(stray: BoolArray, cloud: Cloud, width: float) -> BoolArray:

@@ -309,6 +309,8 @@ def _find_ground(
     if was.segmentation is None:
         ground[there], found = segment(kept.points.present, config, width=width, noise=first.local[there])
         return kept, found, ground
+    if len(cloud.places) == 0:
+        return kept, was.segmentation, longer(was.ground, len(there))
     before = kept.told(longer(was.ground, len(there)))
     found, own = change_segmentation(was.segmentation, cloud, before, config, kept.told(first.local))
     ground[there] = own[kept.number[there]]

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+import gpdf_service as gpdf
+import gpdf_service.perception.noisy as noisy_module
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.denoise import denoise
 from gpdf_service.perception.noisy import Tiles, change_noisy, moved, without_noise
@@ -83,3 +85,16 @@ def test_points_at_other_places_keep_their_order(room):
     assert len(cloud.places) == 4  # where 5 was, and where all three are
     told = now.told(np.arange(1000))
     np.testing.assert_array_equal(told[now.number[expected]], expected)
+
+
+def test_a_stray_that_goes_and_moves_nothing_leaves_all_as_it_was(monkeypatch):
+    made = random_room(np.random.default_rng(0), noise=0.05)
+    scene = gpdf.build_scene(made.points)
+    stray = np.flatnonzero(scene.perceived.noisy.first.stray)[:1]
+    assert len(stray) == 1
+    monkeypatch.setattr(noisy_module, "_tell", lambda points, *_: np.zeros(len(points.there), dtype=bool))
+    gone = scene.update(remove=stray)
+    assert len(gone.points) == len(scene.points) - 1
+    assert gone.levels is scene.levels
+    np.testing.assert_array_equal(gone.ground, np.delete(scene.ground, stray))
+    assert gone.perceived.touched == tuple((k, None) for k in range(len(scene.surfaces)))
