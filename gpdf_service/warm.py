@@ -72,10 +72,12 @@ class Warming:
         build_scene(house.points, origins=np.broadcast_to(eye, house.points.shape))
 
     def noise(self) -> None:
-        """The cure of a noisy cloud, without and with labels."""
+        """The cure of a noisy cloud, without and with labels, and its next versions."""
         stair = SCENES["stair"](np.random.default_rng(0), noise=NOISE, spacing=SPACING)
+        post = np.array([[*stair.start[:2], z] for z in np.arange(SPACING, 1.0, SPACING)])
         for labels in None, stair.ground:
-            build_scene(stair.points, labels)
+            scene = build_scene(stair.points, labels).update(insert=post)
+            scene.update(remove=np.arange(len(stair.points), len(scene.points)))
 
     def changes(self) -> None:
         """The next version of a scene, and of a body's free space in it."""
