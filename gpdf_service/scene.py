@@ -632,8 +632,8 @@ def assemble_scene(
     of = None if noisy is not None else segmentation
     perceived = Perceived(held, labelled, of, levels, survey, (), noisy).lasting() if lasting else None
     facts = version, in_steps(noise, NOISE_STEP), labels is not None
-    own = perceived.cloud[0] if perceived is not None else cloud
-    return Scene(own, ground, levels, fields, config, *facts, perceived, rays=rays)
+    measured = held if noisy is None else noisy.points
+    return Scene(measured, ground, levels, fields, config, *facts, perceived, rays=rays)
 
 
 def _fit_grounds(levels: Levels, config: Config, like: Scene | None, former: Sequence[int]) -> tuple[Gpdf, ...]:

@@ -79,9 +79,9 @@ def change(
     if old.noisy is not None:
         noisy, cloud = change_noisy(old.noisy, gone, fresh, labels, config)
         before = noisy.held.told(longer(old.noisy.ground, len(noisy.ground)))
-        return _changed(old, cloud, before, noisy.own_ground, None, noisy, config)
+        return _changed(replace(old, noisy=noisy), cloud, before, noisy.own_ground, config)
     if len(gone) + len(fresh) == 0:
-        return _same(old, None)
+        return _same(old)
     cloud = Cloud(old.points.changed(gone, fresh), np.concatenate([old.points.taken(gone), fresh]))
     before = longer(old.ground, len(cloud.points.there)) & cloud.points.there
     segmentation = old.segmentation
@@ -92,36 +92,31 @@ def change(
     else:
         ground = before.copy()
         ground[len(old.ground) :] = labels
-    return _changed(old, cloud, before, ground, segmentation, None, config)
+    return _changed(replace(old, segmentation=segmentation), cloud, before, ground, config)
 
 
-def _changed(
-    old: Perceived,
-    cloud: Cloud,
-    before: BoolArray,
-    ground: BoolArray,
-    segmentation: Segmentation | None,
-    noisy: Noisy | None,
-    config: PerceptionConfig,
-) -> Perceived:
-    """What is known of a changed cloud, of whose points some are ground, shape (n,), and others were `before`."""
+def _changed(old: Perceived, cloud: Cloud, before: BoolArray, ground: BoolArray, config: PerceptionConfig) -> Perceived:
+    """What is known of a changed cloud, of whose points some are ground, shape (n,), and others were `before`.
+
+    Of the `old` version are the levels and their survey; what the ground was found from is of this one.
+    """
     cloud.add(before != ground)
     if len(cloud.places) == 0:
-        return _same(old, noisy)
+        return _same(old)
     stray = longer(old.survey.stray, len(ground)) & cloud.points.there
     again = _change_strays(stray, cloud, alone(old.survey.layers.cell_width)) & ~ground
     cloud.add(again != stray)
-    noise = 0.0 if noisy is None else noisy.noise
+    noise = 0.0 if old.noisy is None else old.noisy.noise
     levels, survey = change_levels(old.survey, cloud, ground, again, config, noise)
     touched = tuple(zip(survey.former, (made.touched for made in survey.made), strict=True))
-    return Perceived(cloud.points, ground, segmentation, levels, survey, touched, noisy).lasting()
+    return replace(old, points=cloud.points, ground=ground, levels=levels, survey=survey, touched=touched).lasting()
 
 
-def _same(old: Perceived, noisy: Noisy | None) -> Perceived:
+def _same(old: Perceived) -> Perceived:
     """What was known, of a cloud in which nothing is other: what came and went were strays, at most."""
     same = tuple(range(len(old.levels.levels)))
     survey, touched = replace(old.survey, former=same), tuple((k, None) for k in same)
-    return replace(old, survey=survey, touched=touched, noisy=noisy)
+    return replace(old, survey=survey, touched=touched)
 
 
 def _change_strays(stray: BoolArray, cloud: Cloud, width: float) -> BoolArray:

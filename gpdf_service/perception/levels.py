@@ -96,13 +96,13 @@ def survey_levels(
     width = cell_width_of(floor, config) if width is None else width
     check_grid(floor, len(own), width, LEVEL_BYTES, config)
 
-    (near, sheets), alone_ = run_beside(
+    (near, sheets), reflected = run_beside(
         partial(_find_sheets, floor, width, config), partial(find_strays, own, alone(width))
     )
     kept = sum(np.prod(part_of(near.layers, sheet).shape) for sheet in sheets) / np.prod(near.layers.shape) - 1.0
     check_grid(floor, len(own), width, LEVEL_BYTES + KEPT_BYTES * max(kept, 0.0), config)
     stray = np.zeros(len(ground), dtype=bool)
-    stray[points.there] = alone_
+    stray[points.there] = reflected
     stray &= ~ground
     cells, cloud = np.ones(near.layers.shape, dtype=bool), Cloud(points, own[:0])
     del floor, own
