@@ -63,9 +63,9 @@ def build_scene(
         raise ConfigError("config", f"a {type(config).__name__}", "Pass a gpdf.Config; Config.from_mapping makes one.")
     cloud = check_points(points)
     labels = None if ground is None else check_labels(ground, len(cloud))
-    rays = None if origins is None else check_origins(origins, cloud)
+    began = None if origins is None else check_origins(origins, cloud)
     shades = None if colours is None else shades_of(cloud, colours)
-    scene = assemble_scene(cloud, labels, config, rays=rays, progress=progress)
+    scene = assemble_scene(cloud, labels, config, origins=began, progress=progress)
     scene.shades = shades
     return scene
 

@@ -39,6 +39,7 @@ from gpdf_service.perception import (
     cure_and_segment,
     levels_from_arrays,
     levels_to_arrays,
+    rays_of,
     survey_levels,
 )
 from gpdf_service.perception.budget import give_back
@@ -196,7 +197,7 @@ class Scene:
         version: Counts the changes of this scene, from 1.
         noise: Standard deviation of the cloud's points [m], which plans keep away from as well; 0 when negligible.
         labelled: Whether `ground` was given with the cloud, and not found by our segmentation.
-        perceived: What a change starts from; None after loading, and with rays.
+        perceived: What a change starts from; None after loading.
         drift: Share of the points that changed since noise and spacing were measured.
         moving: What is there beside what was scanned [m], shape (k, 3).
         rays: Those of the scan, where it is known where they began.
@@ -414,46 +415,38 @@ class Scene:
         if not count:
             raise CloudError("update", "no point would be left", "Keep some, or build another scene.")
         labels = self._labels_of(fresh, ground, keep) if ground is not None or self.labelled else None
+        began = self._began_at(fresh, origins)
         drift = self.drift + (len(gone) + len(fresh)) / count
         if self.perceived is not None and drift <= MAX_DRIFT and self.labelled == (labels is not None):
             with suppress(WholeError):
-                return self._changed(self.perceived, self._cloud.numbers(gone), fresh, labels, drift, progress)
+                progress("change levels", 0.0)
+                now = change(self.perceived, self._cloud.numbers(gone), fresh, labels, self.config.perception, began)
+                return self._changed(now, drift, progress)
         cloud = chosen_rows(self.points, keep, fresh)
         labels = None if labels is None else np.concatenate([self.ground[keep], labels])
-        rays, known = self._rays_of(fresh, origins, keep, cloud), self.sampling if drift <= MAX_DRIFT else None
-        scene = assemble_scene(cloud, labels, self.config, like=self, known=known, rays=rays, progress=progress)
+        known = self.sampling if drift <= MAX_DRIFT else None
+        began = None if began is None or self.rays is None else self.rays.began_at(keep, began)
+        scene = assemble_scene(cloud, labels, self.config, like=self, known=known, origins=began, progress=progress)
         scene.drift, scene.shades = 0.0 if known is None else drift, self.shades
         return scene
 
-    def _changed(
-        self,
-        perceived: Perceived,
-        gone: IntArray,
-        fresh: FloatArray,
-        labels: BoolArray | None,
-        drift: float,
-        progress: Progress,
-    ) -> Scene:
-        progress("change levels", 0.0)
-        now = change(perceived, gone, fresh, labels, self.config.perception)
+    def _changed(self, now: Perceived, drift: float, progress: Progress) -> Scene:
         progress("change ground fields", 0.5)
         fields = _fit_grounds(now.levels, self.config, self, now.survey.former)
         progress("ready", 1.0)
         known = self.version + 1, self.noise, self.labelled
         points, own = now.cloud
-        scene = Scene(points, own, now.levels, fields, self.config, *known, now, drift)
+        scene = Scene(points, own, now.levels, fields, self.config, *known, now, drift, now.rays)
         scene.shades = self.shades
         if scene.scan == self.scan and now.touched:  # else all that stops a body may be another
             scene._former = self._spaces_before(now.touched, scene.surfaces)
         return scene
 
-    def _rays_of(self, fresh: FloatArray, origins: ArrayLike | None, keep: BoolArray, cloud: FloatArray) -> Rays | None:
-        """The rays to a changed cloud; new points without origins have none that are known."""
+    def _began_at(self, fresh: FloatArray, origins: ArrayLike | None) -> FloatArray | None:
+        """Where the rays to new points began; those without origins have none that are known."""
         if self.rays is None:
             return None
-        unknown = np.full(fresh.shape, np.nan)
-        began = unknown if origins is None else np.broadcast_to(check_origins(origins, fresh).origins, fresh.shape)
-        return self.rays.chosen(keep, cloud, began if len(fresh) else None)
+        return np.broadcast_to(np.nan if origins is None else check_origins(origins, fresh), fresh.shape).copy()
 
     def _labels_of(self, fresh: FloatArray, ground: ArrayLike | None, keep: BoolArray) -> BoolArray:
         if ground is not None:
@@ -531,7 +524,7 @@ class Scene:
         levels = levels_to_arrays(self.levels, points, self.config.perception.max_step)
         arrays = {"points": points, "ground": self.ground, **levels}
         if self.rays is not None:
-            arrays["origins"] = self.rays.origins
+            arrays["origins"] = self.rays.began
         if self.shades is not None:
             arrays |= flatten(self.shades, "shades")
         arrays |= {_ALPHA.format(i): field.alpha for i, field in enumerate(self.ground_fields)}
@@ -588,8 +581,9 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
         for i, level in enumerate(levels.levels)
     ]
     known = int(meta["version"]), float(meta["noise"]), bool(meta["labelled"])
-    rays = Rays(arrays["origins"], arrays["points"]) if "origins" in arrays else None
-    scene = Scene(arrays["points"], arrays["ground"], levels, tuple(fields), config, *known, rays=rays)
+    points = points_of(arrays["points"])
+    rays = rays_of(points, arrays["origins"]) if "origins" in arrays else None
+    scene = Scene(points, arrays["ground"], levels, tuple(fields), config, *known, rays=rays)
     if "shades/cells" in arrays:
         scene.shades = restore(Shades, arrays, "shades")
     bodies = enumerate(meta.get("agents", ()))
@@ -604,12 +598,13 @@ def assemble_scene(
     *,
     like: Scene | None = None,
     known: Sampling | None = None,
-    rays: Rays | None = None,
+    origins: FloatArray | None = None,
     progress: Progress = lambda stage, done: None,
 ) -> Scene:
     """Ground, levels and Ground GPDFs of a cloud; what is as it was in the scene `like` is taken over from it.
 
-    What is not `known` of its sampling is measured. The `rays` tell what was seen of inferred ground.
+    What is not `known` of its sampling is measured. Where rays began, at `origins`, shape (1, 3) or (n, 3), they tell
+    what was seen of inferred ground.
     """
     progress("segment ground", 0.0)
     found = cure_and_segment(cloud, labels, config.perception, known)
@@ -620,7 +615,8 @@ def assemble_scene(
     width = known.width if known is not None else None
     if segmentation is not None:
         width = segmentation.layers.cell_width
-    spread = 0.0 if noisy is None else noisy.noise
+    spread, measured = (0.0, held) if noisy is None else (noisy.noise, noisy.points)
+    rays = None if origins is None else rays_of(measured, origins)
     levels, survey = survey_levels(held, labelled, config.perception, width=width, noise=spread, rays=rays)
     give_back(len(cloud))
     progress("fit ground fields", 0.7)
@@ -628,11 +624,9 @@ def assemble_scene(
     progress("ready", 1.0)
     noise = cured.measured if cured.measured > config.perception.negligible_noise else 0.0
     version = 1 if like is None else like.version + 1
-    lasting = rays is None  # what rays show of a part of a scene is not told part by part
     of = None if noisy is not None else segmentation
-    perceived = Perceived(held, labelled, of, levels, survey, (), noisy).lasting() if lasting else None
+    perceived = Perceived(held, labelled, of, levels, survey, (), noisy, rays).lasting()
     facts = version, in_steps(noise, NOISE_STEP), labels is not None
-    measured = held if noisy is None else noisy.points
     return Scene(measured, ground, levels, fields, config, *facts, perceived, rays=rays)
 
 

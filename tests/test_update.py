@@ -5,6 +5,7 @@ import pytest
 
 import gpdf_service as gpdf
 from gpdf_service.bench.build_changes import differences
+from gpdf_service.bench.houses import scanned_house
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import CloudError, NoGroundError
 from gpdf_service.scene import assemble_scene
@@ -223,9 +224,9 @@ def random_change(scene, rng):
 
 
 def from_scratch(scene):
-    """The scene of the same points and labels, with the same sampling."""
-    labels = scene.ground if scene.labelled else None
-    return assemble_scene(scene.points, labels, scene.config, known=scene.sampling)
+    """The scene of the same points, labels and rays, with the same sampling."""
+    labels, origins = scene.ground if scene.labelled else None, scene.rays.began if scene.rays else None
+    return assemble_scene(scene.points, labels, scene.config, known=scene.sampling, origins=origins)
 
 
 @pytest.mark.parametrize(
@@ -476,6 +477,51 @@ def test_random_changes_of_a_noisy_scene_equal_one_from_scratch(made, labelled, 
         touched += bool(changed.perceived.touched)
         scene = changed
     assert touched >= 1  # a change of much, or of the map's bounds, is built as a whole
+
+
+@pytest.mark.parametrize(
+    ("scanner", "noise", "one_origin"),
+    [("tripod", 0.0, False), ("tripod", 0.02, False), ("tripod", 0.0, True), ("handheld", 0.0, False)],
+)
+def test_random_changes_of_a_scene_with_origins_equal_one_from_scratch(scanner, noise, one_origin):
+    """New rays are counted, and those that went, and all of them where the ground is another."""
+    rng = np.random.default_rng(5)
+    _, scan = scanned_house(1, scanner, noise, thin=0.04)
+    stations = scan.origins[:1] if one_origin else scan.origins
+    scene = gpdf.build_scene(scan.points, origins=stations[0] if one_origin else stations)
+    scene.free_space("human")
+    touched = 0
+    for i in range(5):
+        change = random_change(scene, rng)
+        if "insert" in change and i % 3:  # as somebody scans it who walks there, or nobody knows from where
+            change["origins"] = stations[rng.integers(len(stations))] + rng.uniform(-0.5, 0.5, 3)
+        changed = scene.update(**change)
+        again = from_scratch(changed)
+        np.testing.assert_array_equal(
+            *(np.broadcast_to(each.rays.began, each.points.shape) for each in (changed, again))
+        )
+        assert_equal_scenes(changed, again, "human")
+        for own, other in zip(changed.perceived.survey.made, again.perceived.survey.made, strict=True):
+            for name in ("rays", "blind", "holes fallen through"):
+                for a, b in zip(own.grid.known[name].made, other.grid.known[name].made, strict=True):
+                    np.testing.assert_array_equal(a, b, name)
+        touched += bool(changed.perceived.touched)
+        scene = changed
+    assert touched >= 2  # a change of the map's bounds is built as a whole
+
+
+def test_a_ray_alone_that_comes_shows_what_is_free(office):
+    """Points that lie where others do change no ground; from where they were seen tells that a hole beside is floor."""
+    away = np.hypot(*(office.points[:, :2] - (3.0, 2.4)).T) > 0.3
+    floor = away | ~office.ground
+    scene = gpdf.build_scene(office.points[floor], office.ground[floor], origins=(3.0, 2.4, 12.0))
+    assert not scene.surfaces[0].contains(np.array([[3.0, 2.4]]))[0]
+    ground = np.flatnonzero(scene.ground & (np.abs(scene.points[:, 0] - 3.5) < 0.15))
+    ground = ground[np.abs(scene.points[ground, 1] - 2.4) < 0.3]
+    seen = scene.update(insert=scene.points[ground], ground=np.ones(len(ground), dtype=bool), origins=(2.2, 2.4, 0.1))
+    assert seen.perceived.touched
+    assert seen.surfaces[0].contains(np.array([[3.0, 2.4]]))[0]
+    assert_equal_scenes(seen, from_scratch(seen))
 
 
 def test_a_noisy_scene_keeps_the_labels_of_its_strays():

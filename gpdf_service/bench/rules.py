@@ -21,7 +21,7 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.denoise import as_measured
 from gpdf_service.denoise.place import Placed
 from gpdf_service.errors import GpdfError
-from gpdf_service.perception.rays import LOW
+from gpdf_service.perception.visibility import LOW
 from gpdf_service.pipeline import build_scene
 from gpdf_service.synthetic import SCENES, random_room
 from gpdf_service.synthetic.places import ONE_FLOOR, bedroom, museum, platform, supermarket, workshop
@@ -123,9 +123,9 @@ RULES: dict[str, tuple[str, str, Any]] = {
     "strips at a flight's side": (_P + "notches", "_fill_bitten", lambda *_: None),
     "treads seen as lines": (_P + "notches", "_as_wide_as_a_sole", lambda known, _: known),
     "walls of pits": (_P + "holes", "walled_down", lambda surface, _: np.zeros(surface.state.shape, dtype=bool)),
-    "blind spots": (_P + "rays", "_blind_spots", lambda _, asked, __: np.zeros_like(asked)),
-    "holes that rays fell through": (_P + "rays", "_of_one_hole", lambda _, asked, *__: np.zeros_like(asked)),
-    "shadows and edges of steps": (_P + "rays", "_steps_beside", _no_steps),
+    "blind spots": (_P + "visibility", "_blind_spots", lambda _, asked, __: np.zeros_like(asked)),
+    "holes that rays fell through": (_P + "visibility", "_of_one_hole", lambda _, asked, *__: np.zeros_like(asked)),
+    "shadows and edges of steps": (_P + "visibility", "_steps_beside", _no_steps),
     "slanted faces are steps": (_G + "limits", "_slanted", lambda _, slope: np.full(slope.shape, np.inf)),
     "narrow treads": (_G + "limits", "_is_narrow_tread", lambda height, *_: np.zeros(height.shape, dtype=bool)),
     "ridges of flights": (_P + "levels", "ridges", lambda surface, *_: np.zeros(surface.state.shape, dtype=bool)),

@@ -12,4 +12,5 @@ from gpdf_service.perception.levels import count_undecided as count_undecided
 from gpdf_service.perception.levels import survey_levels as survey_levels
 from gpdf_service.perception.rays import Rays as Rays
 from gpdf_service.perception.rays import check_origins as check_origins
+from gpdf_service.perception.rays import rays_of as rays_of
 from gpdf_service.perception.segment import segment_ground as segment_ground

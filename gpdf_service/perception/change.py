@@ -17,6 +17,7 @@ from gpdf_service.ground import Levels, Touched
 from gpdf_service.perception.cloud import Cloud, WholeError, find_strays
 from gpdf_service.perception.levels import Survey, alone, change_levels
 from gpdf_service.perception.noisy import Noisy, change_noisy, longer
+from gpdf_service.perception.rays import Rays
 from gpdf_service.perception.segment import Segmentation, change_segmentation
 from gpdf_service.tiles.points import Points
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -43,6 +44,7 @@ class Perceived:
     survey: Survey
     touched: Touched = ()
     noisy: Noisy | None = None
+    rays: Rays | None = None
 
     @property
     def cloud(self) -> tuple[Points, BoolArray]:
@@ -57,11 +59,17 @@ class Perceived:
             segmentation=None if found is None else found.lasting(),
             survey=replace(self.survey, near=self.survey.near.lasting()),
             noisy=None if noisy is None else noisy.lasting(),
+            rays=None if self.rays is None else replace(self.rays, news=None),
         )
 
 
 def change(
-    old: Perceived, gone: IntArray, fresh: FloatArray, labels: BoolArray | None, config: PerceptionConfig
+    old: Perceived,
+    gone: IntArray,
+    fresh: FloatArray,
+    labels: BoolArray | None,
+    config: PerceptionConfig,
+    began: FloatArray | None = None,
 ) -> Perceived:
     """What is known after a change.
 
@@ -71,6 +79,7 @@ def change(
         fresh: Those that are new [m], shape (k, 3).
         labels: Which of these are ground, shape (k,), and the others as before; None where the segmentation says so.
         config: Limits.
+        began: Of a cloud with rays where those to the new ones began [m], shape (k, 3), NaN where that is not known.
 
     Raises:
         WholeError: the cloud has other bounds; build it as a whole.
@@ -79,10 +88,12 @@ def change(
     if old.noisy is not None:
         noisy, cloud = change_noisy(old.noisy, gone, fresh, labels, config)
         before = noisy.held.told(longer(old.noisy.ground, len(noisy.ground)))
+        cloud.rays = None if old.rays is None or began is None else old.rays.changed(noisy.points, gone, began)
         return _changed(replace(old, noisy=noisy), cloud, before, noisy.own_ground, config)
     if len(gone) + len(fresh) == 0:
         return _same(old)
     cloud = Cloud(old.points.changed(gone, fresh), np.concatenate([old.points.taken(gone), fresh]))
+    cloud.rays = None if old.rays is None or began is None else old.rays.changed(cloud.points, gone, began)
     before = longer(old.ground, len(cloud.points.there)) & cloud.points.there
     segmentation = old.segmentation
     if labels is None:
@@ -101,7 +112,7 @@ def _changed(old: Perceived, cloud: Cloud, before: BoolArray, ground: BoolArray,
     Of the `old` version are the levels and their survey; what the ground was found from is of this one.
     """
     cloud.add(before != ground)
-    if len(cloud.places) == 0:
+    if len(cloud.places) == 0 and not cloud.seen_anew:
         return _same(old)
     stray = longer(old.survey.stray, len(ground)) & cloud.points.there
     again = _change_strays(stray, cloud, alone(old.survey.layers.cell_width)) & ~ground
@@ -109,7 +120,8 @@ def _changed(old: Perceived, cloud: Cloud, before: BoolArray, ground: BoolArray,
     noise = 0.0 if old.noisy is None else old.noisy.noise
     levels, survey = change_levels(old.survey, cloud, ground, again, config, noise)
     touched = tuple(zip(survey.former, (made.touched for made in survey.made), strict=True))
-    return replace(old, points=cloud.points, ground=ground, levels=levels, survey=survey, touched=touched).lasting()
+    own = replace(old, points=cloud.points, ground=ground, levels=levels, survey=survey, touched=touched)
+    return replace(own, rays=cloud.rays).lasting()
 
 
 def _same(old: Perceived) -> Perceived:
@@ -121,6 +133,8 @@ def _same(old: Perceived) -> Perceived:
 
 def _change_strays(stray: BoolArray, cloud: Cloud, width: float) -> BoolArray:
     """Stray points, where those in voxels near the change may be others than before; see `find_strays`."""
+    if len(cloud.places) == 0:
+        return stray
     voxel = np.floor(cloud.places[:, :2] / width)
     low, high = voxel.min(axis=0), voxel.max(axis=0) + 1.0
     near = cloud.points.rows_in_cells((low - 2.0) * width, width, np.ones((high - low + 4.0).astype(int), dtype=bool))

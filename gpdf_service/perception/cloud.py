@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.fields.order import corners_of
 from gpdf_service.fields.threads import run_chunked
+from gpdf_service.perception.rays import Rays
 from gpdf_service.tiles.boxes import widened, window
 from gpdf_service.tiles.layers import Layers, build_layers, grid_of, same_nodes, splice_layers
 from gpdf_service.tiles.points import Points
@@ -32,10 +33,16 @@ class Cloud:
     Attributes:
         points: All, by numbers up to n.
         places: Where any came, went, or counts for something else than before [m], (k, 3); of a build nothing is told.
+        rays: Those of its scan, where they are known.
     """
 
-    def __init__(self, points: Points, places: FloatArray) -> None:
-        self.points, self.places = points, places
+    def __init__(self, points: Points, places: FloatArray, rays: Rays | None = None) -> None:
+        self.points, self.places, self.rays = points, places, rays
+
+    @property
+    def seen_anew(self) -> bool:
+        """Whether rays came or went."""
+        return self.rays is not None and self.rays.news is not None
 
     def add(self, other: BoolArray) -> None:
         """The points that are `other`, shape (n,), count for something else, too."""

@@ -16,8 +16,8 @@ from gpdf_service.ground.foot import HALF_FOOT, LEAST_OBSTACLE
 from gpdf_service.perception.holes import CEILING, fill_faces, fill_holes, standing
 from gpdf_service.perception.notches import NOTCH_DEPTH, between_treads
 from gpdf_service.perception.others import Held
-from gpdf_service.perception.rays import seen_by_rays
 from gpdf_service.perception.site import Site
+from gpdf_service.perception.visibility import seen_by_rays
 from gpdf_service.perception.voids import MAX_HOLE_RADIUS, Voids
 from gpdf_service.tiles.boxes import SIDES, Box, highest_around, lowest_around
 from gpdf_service.tiles.nearest import nearest_of
@@ -41,7 +41,7 @@ def complete(
     decided by what is within a known reach of it.
 
     The ground as it was `seen` has `near` for `nearest_seen`. `held` says which other points are in a box of cells. The
-    rays of the `site` tell what may stand on inferred ground where they are known; else fronts do.
+    rays of the cloud tell what may stand on inferred ground where they are known; else fronts do.
     """
     config, as_map = site.config, partial(HeightMap, seen.origin, seen.cell_width)
 
@@ -61,8 +61,8 @@ def complete(
     own = filled.height, filled.state, lowest
     height, state, stair, guarded = grid.around("edges", notch_reach(seen) + 1, edges, *own, points=True)
     filled = as_map(height, state)
-    if site.rays is not None:
-        return seen_by_rays(filled, site.rays, config, site.noise), guarded
+    if (rays := site.cloud.rays) is not None:
+        return seen_by_rays(grid, filled, rays, site.layers.origin, config, site.noise), guarded
     return _known_to_be_free(grid, filled, held, lowest, stair, config.min_headroom), guarded
 
 

@@ -104,9 +104,9 @@ def survey_levels(
     stray = np.zeros(len(ground), dtype=bool)
     stray[points.there] = reflected
     stray &= ~ground
-    cells, cloud = np.ones(near.layers.shape, dtype=bool), Cloud(points, own[:0])
+    cells, cloud = np.ones(near.layers.shape, dtype=bool), Cloud(points, own[:0], rays)
     del floor, own
-    return _levels_of(Site(cloud, ground, stray, near.layers, cells, config, noise, rays), near, sheets)
+    return _levels_of(Site(cloud, ground, stray, near.layers, cells, config, noise), near, sheets)
 
 
 def _find_sheets(floor: FloatArray, width: float, config: PerceptionConfig) -> tuple[Beside, tuple[BoolArray, ...]]:
@@ -203,13 +203,14 @@ def _make_level(site: Site, sheet: BoolArray, part: Part, before: Made | None) -
     config, (was, columns, fresh) = site.config, _asked_of(site, part, before)
     grid = was.grid.now(columns | fresh)
     seen = sheet_surface(grid, site.layers, part, config.max_step, site.noise)
-    if not grid.felt("seen", 0, *grid.known["seen"].given, points=True).any():
+    if not (site.cloud.seen_anew or grid.felt("seen", 0, *grid.known["seen"].given, points=True).any()):
         return replace(was, touched=None)
     near = Nearest(*grid.whole("near", lambda *_: nearest_seen(seen), seen.height, seen.state))
     held = find_others(site, sheet, seen, near, grid, was)
     grid = replace(grid, others=held.unlike)
     surface, measured, both = was.level.surface, was.level.measured, was.level.edges
-    if (grid.felt("voids", 0, *grid.known["voids"].given, points=True) | grid.other_answers("seen", "voids")).any():
+    other = grid.felt("voids", 0, *grid.known["voids"].given, points=True) | grid.other_answers("seen", "voids")
+    if site.cloud.seen_anew or other.any():
         holds = partial(held_in, held.points, held.first, seen)
         surface, guarded = complete(grid, seen, holds, Voids(*grid.known["voids"].made), near, site)
         del near, holds

@@ -8,7 +8,6 @@ from typing import NamedTuple
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.ground import GroundLevel
 from gpdf_service.perception.cloud import Cloud
-from gpdf_service.perception.rays import Rays
 from gpdf_service.tiles.layers import Layers
 from gpdf_service.tiles.told import Grid
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -35,7 +34,6 @@ class Site:
         cells: The columns that hold other points than in the version before, and those beside; in a build all.
         config: Limits.
         noise: Standard deviation that the points had before they were cured [m].
-        rays: Of the scan, where they are known.
     """
 
     cloud: Cloud
@@ -45,7 +43,6 @@ class Site:
     cells: BoolArray
     config: PerceptionConfig
     noise: float = 0.0
-    rays: Rays | None = None
 
 
 @dataclass(frozen=True, slots=True)

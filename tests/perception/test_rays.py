@@ -8,7 +8,7 @@ from gpdf_service.clouds import read_cloud
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import CloudError
 from gpdf_service.perception.levels import survey_levels
-from gpdf_service.perception.rays import check_origins
+from gpdf_service.perception.rays import check_origins, rays_of
 from gpdf_service.tiles.points import points_of
 from gpdf_service.tiles.surface import INFERRED
 
@@ -51,8 +51,9 @@ def ray_cast(slabs, origin):
 
 
 def surface_of(points, ground, origins=None):
-    rays = None if origins is None else check_origins(origins, points)
-    return survey_levels(points_of(points), ground, CONFIG, rays=rays)[0].levels[0].surface
+    cloud = points_of(points)
+    rays = None if origins is None else rays_of(cloud, check_origins(origins, points))
+    return survey_levels(cloud, ground, CONFIG, rays=rays)[0].levels[0].surface
 
 
 def state_at(surface, x, y):
