@@ -11,7 +11,7 @@ import numpy as np
 from gpdf_service.bench.build_changes import measure_changes
 from gpdf_service.bench.build_scale import hall_of, measure
 from gpdf_service.bench.plotting import add_plot_argument, draw_rows
-from gpdf_service.bench.report import Row, add_scene_arguments, clouds, each, show
+from gpdf_service.bench.report import Row, Subject, add_scene_arguments, clouds, each, show
 from gpdf_service.clouds.formats import import_open3d
 from gpdf_service.pipeline import build_scene
 from gpdf_service.types import FloatArray
@@ -52,9 +52,9 @@ def run(args: argparse.Namespace) -> int:
         show([measure(count, tiled=args.tiles) for count in each(counts, "build")], as_json=args.json)
         return 0
     if args.changes is not None:
-        scenes = [("hall", hall_of(args.hall), None)] if args.hall else clouds(args)
-        noisy = [(*scene, noise) for scene in scenes for noise in args.noise or (0.0,)]
-        show([measure_changes(*scene, args.changes, args.checked) for scene in noisy], as_json=args.json)
+        scenes = [Subject("hall", hall_of(args.hall))] if args.hall else clouds(args)
+        noisy = [(scene, noise) for scene in scenes for noise in args.noise or (0.0,)]
+        show([measure_changes(*each, args.changes, args.checked) for each in noisy], as_json=args.json)
         return 0
     if args.noise is not None:
         from gpdf_service.bench.build_noise import measure_noise
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
         rows = list(each(measure_noise(args.noise, args.rooms), "build", 2 * args.rooms * len(args.noise)))
         show(rows, as_json=args.json)
         return 0
-    for name, points, _ in each(clouds(args), "build"):
+    for name, points, *_ in each(clouds(args), "build"):
         build = _median(lambda points=points: build_scene(points), args.repeat)  # type: ignore[misc]
         scene = build_scene(points)
 

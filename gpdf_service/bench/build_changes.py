@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from gpdf_service.bench.report import Row, each
+from gpdf_service.bench.report import Row, Subject, each
 from gpdf_service.ground import GroundLevel
 from gpdf_service.kernel_cache import load_kept
 from gpdf_service.pipeline import build_scene
 from gpdf_service.scene import Scene, assemble_scene
 from gpdf_service.search.layered import below
-from gpdf_service.types import BoolArray, FloatArray
+from gpdf_service.types import FloatArray
 
 SIDE = 1.0
 """[m] Of the square in plan that a change takes away or fills."""
@@ -24,20 +24,19 @@ TALL = 1.0
 """[m] What is put in reaches so far over the point that it is put at."""
 
 
-def measure_changes(
-    name: str, points: FloatArray, ground: BoolArray | None, noise: float, count: int, checked: int
-) -> Row:
+def measure_changes(cloud: Subject, noise: float, count: int, checked: int) -> Row:
     """Median and worst of `count` changes in turn, each of the version before: one taken away, one put in.
 
     Args:
-        name: Of the scene.
-        points: Its cloud [m], shape (n, 3).
-        ground: Its labels, if there are some.
+        cloud: Of the scene, with its labels and origins, if there are some.
         noise: Standard deviation of what is added to each coordinate [m].
         count: How many.
         checked: How many of them, the first ones, are compared with builds from scratch.
     """
-    scene = build_scene(points + noise * np.random.default_rng(2).normal(size=points.shape), ground)
+    name, points, ground, origins = cloud
+    if noise:
+        points = points + noise * np.random.default_rng(2).normal(size=points.shape)
+    scene = build_scene(points, ground, origins=origins)
     scene.free_space("human")
     seconds, free, scratch, equal, whole = np.zeros(count), np.zeros(count), np.full(count, np.nan), 0, 0
     for i, change in enumerate(each(_warmed(scene, count), f"changes in {name}", count)):
@@ -53,7 +52,8 @@ def measure_changes(
             scratch[i] = time.process_time() - began - seconds[i]
             equal += not differences(scene, again)
     return {
-        **{"scene": name, "points": len(points), "noise_m": noise, "changes": count, "as_a_whole": whole},
+        **{"scene": name, "points": len(points), "noise_m": noise, "origins": origins is not None},
+        **{"changes": count, "as_a_whole": whole},
         **{"median_cpu_s": float(np.median(seconds)), "worst_cpu_s": float(seconds.max())},
         **{"free_space_median_cpu_s": float(np.median(free))},
         **({"from_scratch_median_cpu_s": float(np.nanmedian(scratch))} if checked else {}),
@@ -71,7 +71,7 @@ def _warmed(scene: Scene, count: int) -> Iterator[dict[str, Any]]:
 
 def _changes(scene: Scene, count: int, rng: np.random.Generator) -> Iterator[dict[str, Any]]:
     """Arguments of `Scene.update` for the last version: what is taken away is found by its place, as rows change."""
-    points, labelled = scene.points, scene.labelled
+    points, began = scene.points, scene.rays.began if scene.rays else scene.points
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)  # beyond, all would be built as a whole
     for i in range(count):
         place = points[rng.integers(len(points))]
@@ -79,7 +79,9 @@ def _changes(scene: Scene, count: int, rng: np.random.Generator) -> Iterator[dic
             plan = np.clip(place[:2] + rng.uniform(-0.5 * SIDE, 0.5 * SIDE, (FRESH, 2)), low, high)
             fresh = np.column_stack([plan, place[2] + rng.uniform(0.0, TALL, FRESH)])
             points = np.concatenate([points, fresh])
-            yield {"insert": fresh} | ({"ground": np.zeros(FRESH, dtype=bool)} if labelled else {})
+            labels = {"ground": np.zeros(FRESH, dtype=bool)} if scene.labelled else {}
+            eyes = {"origins": began[rng.integers(len(began))]} if scene.rays else {}
+            yield {"insert": fresh} | labels | eyes
         else:
             gone = (np.abs(points[:, :2] - place[:2]) < 0.5 * SIDE).all(axis=1)
             points = points[~gone]

@@ -86,7 +86,7 @@ def scenes(args: argparse.Namespace) -> Iterator[tuple[str, FloatArray, BoolArra
         if name.partition(":")[0] in ("house", "ramp", "room"):
             yield (name.replace(":", "_"), *_made(name))
         else:
-            yield read_scene(name)
+            yield read_scene(name)[:3]
 
 
 Guided = tuple[Walk, Guide]

@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
         return _moving(args)
     rows: list[Row] = []
     peers: list[Row] = []
-    for name, points, ground in clouds(args):
+    for name, points, ground, _ in clouds(args):
         scene = build_scene(points, None if args.ignore_labels else ground)
         truth = scene.ground if ground is None else ground
         judge = Judge(points, truth)
@@ -114,7 +114,7 @@ def run(args: argparse.Namespace) -> int:
 def _ways(args: argparse.Namespace) -> int:
     """Exit code 0 if nobody is led over a high step though a level way is there, and into nothing."""
     rows: list[Row] = []
-    for name, points, ground in clouds(args):
+    for name, points, ground, _ in clouds(args):
         scene = build_scene(points, None if args.ignore_labels else ground)
         judge = Judge(points, scene.ground if ground is None else ground)
         for agent in args.agent or ["human"]:
@@ -132,7 +132,7 @@ def _rooms(args: argparse.Namespace) -> int:
 
 def _moving(args: argparse.Namespace) -> int:
     rows: list[Row] = []
-    for name, points, ground in clouds(args):
+    for name, points, ground, _ in clouds(args):
         scene = build_scene(points, None if args.ignore_labels else ground)
         for agent in args.agent or ["human", "roomba"]:
             made = measure_moving(scene, AGENTS[agent], args.count, np.random.default_rng(args.seed))

@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     """Exit code 0 if what refusals name helps, or of deadlines, if nobody is refused after one for want of a path."""
     rows: list[Row] = []
     every: _Found = {}
-    for name, points, ground in clouds(args):
+    for name, points, ground, _ in clouds(args):
         scene = build_scene(points, ground)
         for agent in args.agent or ["human", "roomba"]:
             body, rng, which = AGENTS[agent], np.random.default_rng(args.seed), {"scene": name, "agent": agent}

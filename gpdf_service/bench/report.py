@@ -6,7 +6,7 @@ import argparse
 import json
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from tqdm import tqdm
@@ -55,15 +55,31 @@ def add_scene_arguments(parser: argparse.ArgumentParser, default: list[str]) -> 
     parser.set_defaults(default_scenes=default)
 
 
-def clouds(args: argparse.Namespace) -> list[tuple[str, FloatArray, BoolArray | None]]:
-    """The scenes that were asked for: name, points, ground labels."""
+class Subject(NamedTuple):
+    """A cloud that is measured with.
+
+    Attributes:
+        name: Its own.
+        points: The cloud [m], shape (n, 3).
+        ground: Its labels, shape (n,), if there are some.
+        origins: Where its rays began [m], shape (n, 3), if it tells.
+    """
+
+    name: str
+    points: FloatArray
+    ground: BoolArray | None = None
+    origins: FloatArray | None = None
+
+
+def clouds(args: argparse.Namespace) -> list[Subject]:
+    """The scenes that were asked for."""
     return [read_scene(name) for name in args.scene or args.default_scenes]
 
 
-def read_scene(name: str) -> tuple[str, FloatArray, BoolArray | None]:
-    """A synthetic scene by its name, or a cloud by its path: name, points, ground labels."""
+def read_scene(name: str) -> Subject:
+    """A synthetic scene by its name, or a cloud by its path."""
     if name in SCENES:
         scene = SCENES[name](np.random.default_rng(0))
-        return name, scene.points, scene.ground
+        return Subject(name, scene.points, scene.ground)
     cloud = read_cloud(Path(name))
-    return Path(name).stem, cloud.points, cloud.ground
+    return Subject(Path(name).stem, cloud.points, cloud.ground, cloud.origins)

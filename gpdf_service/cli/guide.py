@@ -156,7 +156,7 @@ def _truth(name: str, person: dict[str, Any]) -> Any:  # noqa: ANN401 - imported
     from gpdf_service.perception import segment_ground
     from gpdf_service.types import Agent
 
-    _, points, ground = read_scene(name)
+    _, points, ground, _ = read_scene(name)
     return WalkedWorld.of(points, segment_ground(points) if ground is None else ground, Agent(**person))
 
 

@@ -3,14 +3,17 @@ import pytest
 
 import gpdf_service as gpdf
 from gpdf_service.bench.build_changes import differences, measure_changes
+from gpdf_service.bench.report import Subject
 from gpdf_service.synthetic.scenes import random_room
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.01])
-def test_changes_of_a_room_are_measured_and_equal_builds(noise):
+@pytest.mark.parametrize(("noise", "origin"), [(0.0, None), (0.0, (2.0, 2.0, 1.5)), (0.01, None)])
+def test_changes_of_a_room_are_measured_and_equal_builds(noise, origin):
     points = random_room(np.random.default_rng(7)).points
-    row = measure_changes("room", points, None, noise, 2, 1)
+    origins = None if origin is None else np.broadcast_to(origin, points.shape)
+    row = measure_changes(Subject("room", points, origins=origins), noise, 2, 1)
     assert (row["noise_m"], row["changes"], row["as_a_whole"], row["equal"]) == (noise, 2, 0, "1 of 1")
+    assert row["origins"] == (origin is not None)
     assert 0.0 < row["free_space_median_cpu_s"] < row["median_cpu_s"] <= row["worst_cpu_s"]
     assert row["from_scratch_median_cpu_s"] > row["median_cpu_s"]
 

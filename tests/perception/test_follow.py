@@ -44,7 +44,12 @@ def counted_one_by_one(bundle, ground, room, asked):
         np.maximum.at(highest, (x, y), z)
         np.minimum.at(lowest, (x, y), z)
         low += asked & (lowest <= ground.height + room) & (highest >= ground.height)
-        fell += asked & (lowest < ground.height) & (highest >= ground.height) & (min(a[2], b[2]) + FOLLOW.deep < ground.height)
+        fell += (
+            asked
+            & (lowest < ground.height)
+            & (highest >= ground.height)
+            & (min(a[2], b[2]) + FOLLOW.deep < ground.height)
+        )
     return low, fell
 
 
