@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from gpdf_service.fields.threads import run_parallel
+from gpdf_service.kernel_cache import lean
 from gpdf_service.perception.rays import Bundle
 from gpdf_service.tiles.boxes import over_blocks, window
 from gpdf_service.tiles.surface import HeightMap, cropped
@@ -60,9 +60,14 @@ class Follow(NamedTuple):
             return made
         box = window(asked, 0)
         field = self._field(cropped(filled, box), room[box], asked[box])
-        shares = [(each, k) for each in bundles if len(each.ends) for k in range(SHARES)]
-        for counted in run_parallel(lambda share: _cast(share[0], field, self.deep, share[1]), shares):
-            made[asked] += counted
+        shares = [np.zeros((len(field.height), 2), np.int32) for _ in range(SHARES)]
+
+        def count(share: int) -> None:
+            for each in bundles:
+                _cast(each, field, self.deep, share, shares[share])
+
+        run_parallel(count, range(SHARES))
+        made[asked] = np.sum(shares, axis=0)
         return made
 
     def _field(self, part: HeightMap, room: Float32Array, asked: BoolArray) -> _Field:
@@ -108,7 +113,7 @@ class _Field(NamedTuple):
     before: float
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _part(a: _Place, along: _Place, width: float, before: float) -> tuple[float, float]:
     """Where a ray is surely free, and not too far off its point, as shares of it; none of it if it is short."""
     plan = along[0] ** 2 + along[1] ** 2
@@ -119,13 +124,13 @@ def _part(a: _Place, along: _Place, width: float, before: float) -> tuple[float,
     return max(0.0, last - FARTHEST * width / max(np.sqrt(plan), width)), last
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _cell_at(ray: _Ray, t: float, k: int, field: _Field) -> int:
     """In which cell of the box, or beyond it, a share of a ray ends along an axis."""
     return int(np.floor((ray[0][k] + t * ray[1][k] - field.corner[k]) / field.width)) - int(field.first[k])
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _part_at_ground(ray: _Ray, field: _Field) -> tuple[float, float]:
     """Where that part of a ray enters and leaves the box that holds all that is asked about."""
     a, along, (first, last), _ = ray
@@ -140,14 +145,14 @@ def _part_at_ground(ray: _Ray, field: _Field) -> tuple[float, float]:
     return first, last
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _square_at(ray: _Ray, t: float, field: _Field, ends: tuple[int, int, int, int]) -> tuple[int, int]:
     """The cell in which a share of a ray ends, or the nearest one of a square from its first to its last ones."""
     x, y = _cell_at(ray, t, 0, field), _cell_at(ray, t, 1, field)
     return min(max(x, ends[0]), ends[1]), min(max(y, ends[2]), ends[3])
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _reaches(ray: _Ray, k: int, field: _Field, cell: int, none: float) -> float:
     """The share of a ray where it reaches the lower side of a cell along an axis; `none` if it goes across.
 
@@ -158,14 +163,14 @@ def _reaches(ray: _Ray, k: int, field: _Field, cell: int, none: float) -> float:
     return float(field.corner[k] + field.width * (field.first[k] + cell) - ray[0][k]) / ray[1][k]
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _leaves(ray: _Ray, field: _Field, at: tuple[int, int], side: int) -> tuple[float, float]:
     """The shares of a ray where it leaves a square of cells, so many a `side`, along each axis."""
     x, y = at[0] + side * (ray[1][0] > 0.0), at[1] + side * (ray[1][1] > 0.0)
     return _reaches(ray, 0, field, x, np.inf), _reaches(ray, 1, field, y, np.inf)
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _next(ray: _Ray, at: tuple[int, int], leaves: tuple[float, float]) -> tuple[int, int]:
     """The square that a ray comes to."""
     if leaves[0] <= leaves[1]:
@@ -173,15 +178,15 @@ def _next(ray: _Ray, at: tuple[int, int], leaves: tuple[float, float]) -> tuple[
     return at[0], at[1] + (1 if ray[1][1] > 0.0 else -1)
 
 
-@njit(cache=True, nogil=True)
-def _cast(rays: Bundle, field: _Field, deep: float, share: int) -> Counts:
-    """How many rays of a share were in each cell between its ground and its top, and how many fell, shape (m, 2).
+@lean()
+def _cast(rays: Bundle, field: _Field, deep: float, share: int, made: Counts) -> None:
+    """Count how many rays of a share were in each cell between its ground and its top, and how many fell, (m, 2).
 
     One falls that comes from or goes to what is `deep` under the ground [m]. Through tiles that are as low it goes from
     cell to cell.
     """
     origins, ends, there = rays
-    made, (mx, my) = np.zeros((len(field.height), 2), np.int32), field.lowest.shape
+    mx, my = field.lowest.shape
     for i in range(share, len(ends), SHARES):
         if not there[i]:
             continue
@@ -202,10 +207,9 @@ def _cast(rays: Bundle, field: _Field, deep: float, share: int) -> Counts:
             if min(z, behind) <= field.highest[at] and max(z, behind) >= field.lowest[at]:
                 _look_along(ray, (t, leave), at, field, made)
             t, at = leave, _next(ray, at, leaves)
-    return made
 
 
-@njit(cache=True, nogil=True)
+@lean()
 def _look_along(ray: _Ray, walk: tuple[float, float], tile: tuple[int, int], field: _Field, made: Counts) -> None:
     """`_cast` in a tile, from where a ray enters it to where it leaves it (Amanatides and Woo, 1987)."""
     (a, along, part, deep), (nx, ny) = ray, field.number.shape
