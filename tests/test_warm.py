@@ -136,6 +136,7 @@ house = make_house(rng, 0.05)
 eyes = np.broadcast_to(house.low + [0.0, 0.0, 1.5], house.points.shape)
 scene = build_scene(house.points, house.ground, origins=eyes)
 assert plan(scene, house.low, house.high).status == "OK"
+scene.update(insert=house.low + [[1.5, 0.0, z] for z in (0.2, 0.4, 0.6)], origins=eyes[0])
 build_scene(house.points + rng.normal(0.0, 0.02, house.points.shape), house.ground)
 scene = build_scene(house.points, house.ground)
 plan(scene, house.low, house.high)
