@@ -362,6 +362,7 @@ class Client:
         upload: ArrayLike | None = None,
         ground: ArrayLike | None = None,
         colours: ArrayLike | None = None,
+        origins: ArrayLike | None = None,
         timeout_s: float = 300.0,
         progress: Progress = lambda share: None,
     ) -> dict[str, Any]:
@@ -373,6 +374,7 @@ class Client:
             upload: Points (n, 3) [m] to send instead.
             ground: Which of them are ground (n,), if known.
             colours: Their red, green and blue of 0 to 255, (n, 3), for pictures alone.
+            origins: Where the rays to them began [m], (3,) or (n, 3), if known: the scanner's stations.
             timeout_s: Seconds to wait until it is ready.
             progress: Told the share of the upload that is done.
         """
@@ -383,10 +385,17 @@ class Client:
         else:
             points = np.asarray(upload, dtype=np.float64)
             sent = points if colours is None else np.column_stack([points, np.asarray(colours, dtype=np.float64)])
-            self._upload(name, sent, ground, progress)
+            self._upload(name, sent, ground, _origins(origins, len(points)), progress)
         return self.wait_for_scene(name, timeout_s=timeout_s)
 
-    def _upload(self, name: str, points: np.ndarray[Any, Any], ground: ArrayLike | None, progress: Progress) -> None:
+    def _upload(
+        self,
+        name: str,
+        points: np.ndarray[Any, Any],
+        ground: ArrayLike | None,
+        origins: FloatArray | None,
+        progress: Progress,
+    ) -> None:
         labels = None if ground is None else np.asarray(ground, dtype=np.float32)
         parts = max(1, -(-len(points) // PART_POINTS))
         upload_id = uuid.uuid4().hex
@@ -399,6 +408,7 @@ class Client:
                 parts=parts,
                 points=Array.pack(points[rows]),
                 ground=None if labels is None else Array.pack(labels[rows], "f4"),
+                origins=_of_part(origins, rows),
             )
             self.ask(keys.SCENE_UPLOAD, request, SceneReply, 30.0, {Status.BUILDING})
             progress((part + 1) / parts)
@@ -411,6 +421,7 @@ class Client:
         remove: ArrayLike | None = None,
         radius: float = 0.05,
         pose: ArrayLike | None = None,
+        origins: ArrayLike | None = None,
         wait: bool = True,
         timeout_s: float = 300.0,
     ) -> dict[str, Any]:
@@ -422,6 +433,8 @@ class Client:
             remove: Points (j, 3) [m] where nothing is any more.
             radius: What was within this of such a point is gone [m].
             pose: From the points' frame to the scene's, (4, 4); without one they are in the scene's.
+            origins: Where the rays to the new points began [m], (3,) or (k, 3), in the points' frame: (0, 0, 0) of a
+                sensor's own scan. They tell what is free between samples, in a scene that was built with origins.
             wait: Whether to wait until the next version is ready. Who streams scans does not: see `watch_scenes`.
             timeout_s: Seconds to wait.
 
@@ -432,6 +445,10 @@ class Client:
         if not len(new) and not len(old):
             raise ValueError("update_scene takes insert=, remove= or both, at least one point")
         points, gone = np.concatenate([old, new]), np.arange(len(old) + len(new)) < len(old)
+        began = _origins(origins, len(new))
+        if began is not None:
+            began = _placed(began, pose)
+            began = began if len(began) == 1 else np.concatenate([old, began])  # no ray is asked of what is gone
         upload_id, parts = uuid.uuid4().hex, -(-len(points) // PART_POINTS)
         for part in range(parts):
             rows = slice(part * PART_POINTS, (part + 1) * PART_POINTS)
@@ -443,6 +460,7 @@ class Client:
                 points=Array.pack(points[rows]),
                 gone=Array.pack(gone[rows], "f4"),
                 radius=radius,
+                origins=_of_part(began, rows),
             )
             self.ask(keys.SCENE_UPDATE, request, SceneReply, timeout_s, {Status.BUILDING})
         return self.wait_for_scene(name, timeout_s=timeout_s) if wait else {}
@@ -643,6 +661,25 @@ def _placed(points: ArrayLike, pose: ArrayLike | None) -> FloatArray:
     return placed
 
 
+def _origins(origins: ArrayLike | None, count: int) -> FloatArray | None:
+    """Where rays to so many points began, (1, 3) for all of them or (count, 3).
+
+    Raises:
+        ValueError: it is neither.
+    """
+    if origins is None:
+        return None
+    began = np.asarray(origins, dtype=np.float64)
+    if began.shape not in ((3,), (count, 3)):
+        raise ValueError(f"origins of shape {began.shape}: give (3,) for all points, or one for each, ({count}, 3)")
+    return began.reshape(-1, 3)
+
+
+def _of_part(origins: FloatArray | None, rows: slice) -> Array | None:
+    """The origins of some points, to be sent."""
+    return None if origins is None else Array.pack(origins if len(origins) == 1 else origins[rows])
+
+
 def _publishable(scene: str, obstacles: Sequence[MovingObstacle]) -> bytes:
     """The message, if a service would take it."""
     try:
@@ -788,11 +825,12 @@ class AsyncClient:
         upload: ArrayLike | None = None,
         ground: ArrayLike | None = None,
         colours: ArrayLike | None = None,
+        origins: ArrayLike | None = None,
         timeout_s: float = 300.0,
         progress: Progress = lambda share: None,
     ) -> dict[str, Any]:
         """See `Client.load_scene`; `progress` is called from another thread."""
-        sent = {"upload": upload, "ground": ground, "colours": colours}
+        sent = {"upload": upload, "ground": ground, "colours": colours, "origins": origins}
         return await asyncio.to_thread(self.sync.load_scene, name, file, **sent, timeout_s=timeout_s, progress=progress)
 
     async def places(self, scene: str) -> dict[str, list[float]]:
@@ -819,6 +857,7 @@ class AsyncClient:
         remove: ArrayLike | None = None,
         radius: float = 0.05,
         pose: ArrayLike | None = None,
+        origins: ArrayLike | None = None,
         wait: bool = True,
         timeout_s: float = 300.0,
     ) -> dict[str, Any]:
@@ -830,6 +869,7 @@ class AsyncClient:
             remove=remove,
             radius=radius,
             pose=pose,
+            origins=origins,
             wait=wait,
             timeout_s=timeout_s,
         )

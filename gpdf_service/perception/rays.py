@@ -85,6 +85,8 @@ def rays_of(points: Points, origins: FloatArray) -> Rays:
 def check_origins(origins: ArrayLike, points: FloatArray) -> FloatArray:
     """Where rays to the `points`, shape (n, 3), began [m]: (1, 3) from an origin (3,), or (n, 3) from one for each.
 
+    A whole row of NaN says that it is not known of that point.
+
     Raises:
         CloudError: another shape, or not finite.
     """
@@ -94,6 +96,6 @@ def check_origins(origins: ArrayLike, points: FloatArray) -> FloatArray:
         raise CloudError("origins", f"no array of numbers ({error})", "Pass (3,) or (n, 3), in metres.") from error
     if made.shape not in ((3,), points.shape):
         raise CloudError("origins", f"an array of shape {made.shape}", f"Pass (3,), or {points.shape}: one a point.")
-    if not np.isfinite(made).all():
-        raise CloudError("origins", "not all of them are finite", "Leave them out if they are not known.")
+    if not (np.isfinite(made) | ((made.ndim > 1) & np.isnan(made).all(axis=-1, keepdims=True))).all():
+        raise CloudError("origins", "not all of them are finite", "Give rows of NaN where they are not known.")
     return made.reshape(-1, 3)

@@ -21,11 +21,13 @@ class Change:
         insert: Points that are new [m], (k, 3).
         gone: Places that are empty now [m], (j, 3).
         radius: What was within this of such a place is gone [m].
+        origins: Where the rays to the new points began [m], (k, 3), if that is known.
     """
 
     insert: FloatArray
     gone: FloatArray
     radius: float
+    origins: FloatArray | None = None
 
     @property
     def size(self) -> int:
@@ -36,11 +38,14 @@ class Change:
 def changed(scene: Scene, changes: Sequence[Change], progress: Progress) -> Scene:
     """The version after all changes, in their order: what one inserts a later one may take away, not an earlier one."""
     gone = np.zeros(len(scene.points), dtype=bool)
-    fresh = np.zeros((0, 3))
+    fresh, began = np.zeros((2, 0, 3))
     for change in changes:
         gone |= _near(scene.points, change)
-        fresh = np.concatenate([fresh[~_near(fresh, change)], change.insert])
-    return scene.update(insert=fresh if len(fresh) else None, remove=gone, progress=progress)
+        stays = ~_near(fresh, change)
+        fresh = np.concatenate([fresh[stays], change.insert])
+        unknown = np.full(change.insert.shape, np.nan)
+        began = np.concatenate([began[stays], unknown if change.origins is None else change.origins])
+    return scene.update(insert=fresh if len(fresh) else None, remove=gone, origins=began, progress=progress)
 
 
 def _near(points: FloatArray, change: Change) -> BoolArray:

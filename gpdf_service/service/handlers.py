@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 import msgspec
+import numpy as np
 from gpdf_schemas import (
     Array,
     DistanceReply,
@@ -191,7 +192,8 @@ class Handlers:
         points = _points(request.points, (3, 6))
         ground = None if request.ground is None else _labels("ground", request.ground, len(points))
         part = request.upload_id, request.part, request.parts
-        return self._take_part(request, lambda: self.shelf.add_part(request.scene, *part, points, ground))
+        cloud = points, ground, _origins(request.origins, len(points))
+        return self._take_part(request, lambda: self.shelf.add_part(request.scene, *part, *cloud))
 
     def update(self, request: UpdateRequest) -> SceneReply:
         """Take a part of a change; the build of the next version starts with the last."""
@@ -201,8 +203,8 @@ class Handlers:
         points = _points(request.points)
         gone = _labels("gone", request.gone, len(points))
         part = request.upload_id, request.part, request.parts
-        change = points, gone, request.radius
-        return self._take_part(request, lambda: self.shelf.add_change(request.scene, *part, *change))
+        change, began = (points, gone, request.radius), _origins(request.origins, len(points))
+        return self._take_part(request, lambda: self.shelf.add_change(request.scene, *part, *change, began))
 
     def _take_part(self, request: UploadRequest | UpdateRequest, take: Callable[[], bool]) -> SceneReply:
         """Take a part, but once: who asks again with the same `request_id` has not heard the reply."""
@@ -343,6 +345,18 @@ def _points(array: Array, columns: tuple[int, ...] = (3,)) -> FloatArray:
     if points.ndim != 2 or points.shape[1] not in columns:
         raise RequestError("points", f"an array of shape {points.shape}", "Send an array of shape (n, 3).")
     return points
+
+
+def _origins(array: Array | None, count: int) -> FloatArray | None:
+    """Where the rays to each point began, shape (count, 3)."""
+    if array is None:
+        return None
+    origins = array.unpack()
+    if origins.shape not in ((1, 3), (count, 3)):
+        words = f"Send (1, 3) for all points of the part, or one a point: ({count}, 3)."
+        raise RequestError("origins", f"an array of shape {origins.shape}", words)
+    spread: FloatArray = np.broadcast_to(origins, (count, 3))
+    return spread
 
 
 def _labels(name: str, array: Array, count: int) -> BoolArray:

@@ -186,7 +186,14 @@ class Shelf:
             self._begin(name, lambda entry: self._make(name, entry, [], file=str(path)))
 
     def add_part(
-        self, name: str, upload_id: str, part: int, parts: int, points: FloatArray, ground: BoolArray | None
+        self,
+        name: str,
+        upload_id: str,
+        part: int,
+        parts: int,
+        points: FloatArray,
+        ground: BoolArray | None,
+        origins: FloatArray | None = None,
     ) -> bool:
         """Take one part of an upload; True when it was the last: the whole is on the disk, and its build has begun.
 
@@ -199,12 +206,11 @@ class Shelf:
         self._admit(name)
         if self._cloud_points + len(points) > MAX_CLOUD_POINTS:
             raise FullError(f"scene {name!r}", "clouds come faster than they are built", "Send it again in a moment.")
-        whole = self._uploads.add(f"{name}/{upload_id}", part, parts, points, ground)
+        sent = _given(points=points, ground=ground, origins=origins)
+        whole = self._uploads.add(f"{name}/{upload_id}", part, parts, sent)
         if whole is None:
             return False
-        every, labels = whole
-        given = {} if labels is None else {"ground": labels}
-        self._take(self._write_down("cloud", name, {}, points=every, **given))
+        self._take(self._write_down("cloud", name, {}, **whole))
         return True
 
     def _admit(self, name: str) -> None:
@@ -219,7 +225,15 @@ class Shelf:
                 raise FullError(f"scene {name!r}", f"{MAX_BUILDS} builds are waiting", "Send it again in a moment.")
 
     def add_change(
-        self, name: str, upload_id: str, part: int, parts: int, points: FloatArray, gone: BoolArray, radius: float
+        self,
+        name: str,
+        upload_id: str,
+        part: int,
+        parts: int,
+        points: FloatArray,
+        gone: BoolArray,
+        radius: float,
+        origins: FloatArray | None = None,
     ) -> bool:
         """Take one part of a change to a scene; True when it was the last, and the next version is begun, or soon is.
 
@@ -234,12 +248,11 @@ class Shelf:
         waiting = sum(max(task.size, LEAST_CHANGE) for task in entry.waiting if task.kind == "change")
         if waiting + len(points) > MAX_WAITING_POINTS:
             raise FullError(f"scene {name!r}", "changes come faster than they are built", "Send it again in a moment.")
-        whole = self._uploads.add(f"change of {name}/{upload_id}", part, parts, points, gone)
+        sent = _given(points=points, gone=gone, origins=origins)
+        whole = self._uploads.add(f"change of {name}/{upload_id}", part, parts, sent)
         if whole is None:
             return False
-        every, taken = whole
-        assert taken is not None
-        self._take(self._write_down("change", name, {"radius": radius}, points=every, gone=taken), entry)
+        self._take(self._write_down("change", name, {"radius": radius}, **whole), entry)
         return True
 
     def _write_down(self, kind: Kind, name: str, facts: Mapping[str, Any], **arrays: NDArray[Any]) -> Task:
@@ -433,6 +446,11 @@ class Shelf:
         log.info("scene %s is ready", name, extra=facts)
         self._on_ready(name, scene)
         self.trim()
+
+
+def _given(**arrays: NDArray[Any] | None) -> dict[str, NDArray[Any]]:
+    """Those that are."""
+    return {name: each for name, each in arrays.items() if each is not None}
 
 
 def _cloud_points(tasks: Collection[Task]) -> int:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import threading
+from typing import Any
 
 import numpy as np
-
-from gpdf_service.types import BoolArray, FloatArray
+from numpy.typing import NDArray
 
 MAX_UPLOAD_POINTS = 20_000_000
 """Points that one upload may have: 0.5 GB."""
@@ -16,7 +16,8 @@ MAX_UPLOADS = 64
 """Unfinished uploads that are kept at once."""
 MAX_KEY = 256
 """[characters] Of an upload's key: a scene's name, and four times a UUID."""
-Part = tuple[FloatArray, BoolArray | None]
+Part = dict[str, NDArray[Any]]
+"""The `points`, shape (n, 3), and what else is known of each of them, shape (n, …)."""
 
 
 class Uploads:
@@ -27,8 +28,8 @@ class Uploads:
         self._waiting = 0  # points, as they count
         self._lock = threading.Lock()
 
-    def add(self, key: str, part: int, parts: int, points: FloatArray, labels: BoolArray | None) -> Part | None:
-        """Take one part; the whole cloud and the labels of its points when it was the last.
+    def add(self, key: str, part: int, parts: int, sent: Part) -> Part | None:
+        """Take one part; the whole cloud, and what is known of its points, when it was the last.
 
         Raises:
             ValueError: the part does not fit.
@@ -37,7 +38,7 @@ class Uploads:
             raise ValueError(f"part {part} of {parts} is none. Parts count from 0.")
         if len(key) > MAX_KEY:
             raise ValueError(f"an upload_id of {len(key)} characters is too long. Send a short one.")
-        if len(points) == 0:
+        if len(sent["points"]) == 0:
             raise ValueError(f"part {part} has no points. Send at least one a part.")
         with self._lock:
             if part > 0 and key not in self._kept:
@@ -46,8 +47,8 @@ class Uploads:
                     "uploads that stay unfinished make room for others. Send it again."
                 )
             kept = self._kept.setdefault(key, {})
-            self._waiting += _weight(points) - (_weight(kept[part][0]) if part in kept else 0)
-            kept[part] = (points, labels)
+            self._waiting += _weight(sent) - (_weight(kept[part]) if part in kept else 0)
+            kept[part] = sent
             self._make_room(key)
             if len(kept) < parts:
                 return None
@@ -65,15 +66,15 @@ class Uploads:
                 raise ValueError(f"{words}. Thin the cloud, send larger parts, or load a file.")
 
     def _let_go(self, key: str) -> None:
-        self._waiting -= sum(_weight(points) for points, _ in self._kept.pop(key).values())
+        self._waiting -= sum(_weight(each) for each in self._kept.pop(key).values())
 
 
-def _weight(points: FloatArray) -> int:
-    return max(LEAST_PART, len(points))
+def _weight(part: Part) -> int:
+    return max(LEAST_PART, len(part["points"]))
 
 
 def _joined(parts: list[Part]) -> Part:
-    given = [ground for _, ground in parts if ground is not None]
-    if given and len(given) != len(parts):
-        raise ValueError("some parts have labels and some have none. Send them with all parts or none.")
-    return np.concatenate([points for points, _ in parts]), np.concatenate(given) if given else None
+    for name in set().union(*parts):
+        if not all(name in each for each in parts):
+            raise ValueError(f"some parts have {name} and some have none. Send them with all parts or none.")
+    return {name: np.concatenate([each[name] for each in parts]) for name in parts[0]}

@@ -123,7 +123,8 @@ class Workshop:
             sent = arrays_of(Path(job.cloud))
             points, colours = sent["points"][:, :3], sent["points"][:, 3:]
             shown = as_bytes(colours, greatest(colours))
-            return build_scene(points, sent.get("ground"), self._config, colours=shown, progress=progress)
+            given = {"origins": sent.get("origins"), "colours": shown}
+            return build_scene(points, sent.get("ground"), self._config, **given, progress=progress)
         if job.file:
             progress("read the file", 0.0)
             path = Path(job.file)
@@ -141,4 +142,5 @@ class Workshop:
 def _change(path: Path, radius: float) -> Change:
     sent = arrays_of(path)
     gone = sent["gone"] > 0
-    return Change(sent["points"][~gone], sent["points"][gone], radius)
+    origins = sent["origins"][~gone] if "origins" in sent else None
+    return Change(sent["points"][~gone], sent["points"][gone], radius, origins)

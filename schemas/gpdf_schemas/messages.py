@@ -273,6 +273,7 @@ class UploadRequest(msgspec.Struct, frozen=True, kw_only=True):
         parts: How many there are.
         points: (n, 3) [m], or (n, 6) with red, green and blue of 0 to 255, which pictures show.
         ground: 1 where a point is ground, (n,); none lets the service segment.
+        origins: Where the rays to the points began [m]: (1, 3) for all of the part, or (n, 3); none where not known.
     """
 
     scene: str
@@ -283,6 +284,7 @@ class UploadRequest(msgspec.Struct, frozen=True, kw_only=True):
     ground: Array | None = None
     deadline_s: float = 30.0
     request_id: str = ""
+    origins: Array | None = None
 
 
 class SceneReply(Reply, frozen=True, kw_only=True):
@@ -310,6 +312,8 @@ class UpdateRequest(msgspec.Struct, frozen=True, kw_only=True):
         points: (n, 3) [m], in the scene's frame.
         gone: 1 where a point says that nothing is there any more, 0 where it is new, (n,).
         radius: What was within this of such a point is gone [m].
+        origins: Where the rays to the points began [m]: (1, 3) for all of the part, or (n, 3); none where not known.
+            They count in a scene that was built with some.
     """
 
     scene: str
@@ -321,6 +325,7 @@ class UpdateRequest(msgspec.Struct, frozen=True, kw_only=True):
     radius: float = 0.05
     deadline_s: float = 30.0
     request_id: str = ""
+    origins: Array | None = None
 
 
 class PlaceRequest(msgspec.Struct, frozen=True, kw_only=True):

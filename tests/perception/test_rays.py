@@ -163,6 +163,14 @@ def test_who_gives_origins_gets_the_same_by_one_or_by_many_and_in_a_saved_scene(
     assert np.array_equal(loaded.update(remove=gone).surfaces[0].state, one.update(remove=gone).surfaces[0].state)
 
 
+def test_of_some_points_it_may_not_be_known_where_their_rays_began(cupboard):
+    points, which = cupboard
+    some = np.where(points[:, :1] > 4.0, np.nan, STATION)
+    surface = surface_of(points, which == 0, some)
+    assert state_at(surface, 3.0, 3.0) == INFERRED
+    assert not surface.contains(np.array([[4.7, 3.0], [5.2, 3.0]])).any()
+
+
 def test_new_points_bring_their_origins_and_without_them_show_nothing():
     floor = shadow_in_a_floor()
     ground = np.ones(len(floor), dtype=bool)
@@ -180,7 +188,13 @@ def test_new_points_bring_their_origins_and_without_them_show_nothing():
 
 @pytest.mark.parametrize(
     ("origins", "words"),
-    [((1.0, 2.0), "shape"), (np.zeros((5, 3)), "shape"), ((0.0, np.nan, 1.0), "finite"), ("here", "numbers")],
+    [
+        ((1.0, 2.0), "shape"),
+        (np.zeros((5, 3)), "shape"),
+        ((0.0, np.nan, 1.0), "finite"),
+        ((np.nan,) * 3, "finite"),
+        ("here", "numbers"),
+    ],
 )
 def test_origins_that_are_none_are_refused(origins, words):
     with pytest.raises(CloudError, match=words):

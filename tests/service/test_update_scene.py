@@ -78,6 +78,42 @@ def test_a_scan_closes_the_way_and_its_end_opens_it_again(serving, hall, monkeyp
     assert result.trajectory.length == pytest.approx(gpdf.plan(hall, START, GOAL).trajectory.length, abs=0.01)
 
 
+def floor_in_a_shadow():
+    """A floor of which a thing's shadow of 0.8 × 0.5 m was not seen, and which a station far above saw."""
+    x, y = np.meshgrid(np.arange(0.01, 6, 0.03), np.arange(0.01, 6, 0.03))
+    floor = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    return floor[(np.abs(floor[:, 0] - 4.6) > 0.4) | (np.abs(floor[:, 1] - 3.0) > 0.25)]
+
+
+def test_a_scan_with_its_origin_shows_what_is_free(running, monkeypatch):
+    """A sensor near the floor looks over the hole from either side: rays that pass low make it ground."""
+    monkeypatch.setattr("gpdf_client.client.PART_POINTS", 7000)
+    place = (4.6, 3.0)
+    along = np.column_stack([np.full(40, 0.6), np.linspace(-0.3, 0.3, 40), np.full(40, -0.12)])  # in the sensor's frame
+    poses = [np.eye(4), np.diag([-1.0, -1.0, 1.0, 1.0])]
+    for pose, x in zip(poses, (4.55, 4.65), strict=True):
+        pose[:3, 3] = x, 3.0, 0.12
+    eyes = along * (0, 1, 0)
+    with Client.connect(running.options.endpoint) as client:
+        client.load_scene("floor", upload=floor_in_a_shadow(), origins=(3.0, 3.0, 40.0))
+        assert client.plan("floor", (1.0, 1.0), place).status in (Status.GOAL_OUTSIDE_MAP, Status.GOAL_OCCUPIED)
+        for pose in poses:
+            client.update_scene("floor", along, pose=pose)
+        assert client.plan("floor", (1.0, 1.0), place).status in (Status.GOAL_OUTSIDE_MAP, Status.GOAL_OCCUPIED)
+        for pose in poses:
+            client.update_scene("floor", along + np.array([0.01, 0.0, 0.0]), pose=pose, origins=eyes)
+        assert client.plan("floor", (1.0, 1.0), place).status is Status.OK
+        with pytest.raises(ValueError, match="origins of shape"):
+            client.update_scene("floor", along, origins=eyes[:5])
+        request = UpdateRequest(
+            **{"scene": "floor", "upload_id": "a", "part": 0, "parts": 1, "points": Array.pack(along)},
+            gone=Array.pack(np.zeros(40)),
+            origins=Array.pack(eyes[:5]),
+        )
+        with pytest.raises(InvalidRequestError, match="origins"):
+            client.ask(keys.SCENE_UPDATE, request, SceneReply, 10.0)
+
+
 def test_the_next_version_outlives_the_service(hall, tmp_path):
     hall.save(tmp_path / "hall.gpdf")
     options = Options(free_endpoint(), tmp_path, tmp_path / "log", 1)
@@ -92,7 +128,7 @@ def test_the_next_version_outlives_the_service(hall, tmp_path):
 
 def test_changes_apply_in_order_and_equal_one_after_the_other(hall):
     box = np.random.default_rng(0).uniform((2.8, 1.0, 0.1), (3.2, 1.4, 1.0), (2000, 3))
-    first, second = Change(box, NOBODY, 0.05), Change(wall(), box[:500], 0.05)
+    first, second = Change(box, NOBODY, 0.05), Change(wall(), box[:500], 0.05, wall(4.0))
     third = Change(box[:500], NOBODY, 0.05)
     quiet = lambda stage, done: None  # noqa: E731
     together = changed(hall, [first, second, third], quiet)
