@@ -254,7 +254,7 @@ class Scene:
         """
         if self.perceived is None:
             return None
-        found, noisy = self.perceived.segmentation, self.perceived.noisy
+        found, noisy = self.perceived.found.segmentation, self.perceived.found.noisy
         tiles = None if noisy is None else noisy.tiles
         return Sampling(self.surfaces[0].cell_width, self.noise, 0.0 if found is None else found.pitch, tiles)
 
@@ -414,16 +414,18 @@ class Scene:
         count = len(keep) - len(gone) + len(fresh)
         if not count:
             raise CloudError("update", "no point would be left", "Keep some, or build another scene.")
-        labels = self._labels_of(fresh, ground, keep) if ground is not None or self.labelled else None
+        labels = None if ground is None else check_labels(ground, len(fresh))
         began = self._began_at(fresh, origins)
         drift = self.drift + (len(gone) + len(fresh)) / count
-        if self.perceived is not None and drift <= MAX_DRIFT and self.labelled == (labels is not None):
+        if self.perceived is not None and drift <= MAX_DRIFT and (self.labelled or labels is None):
             with suppress(WholeError):
                 progress("change levels", 0.0)
                 now = change(self.perceived, self._cloud.numbers(gone), fresh, labels, self.config.perception, began)
                 return self._changed(now, drift, progress)
         cloud = chosen_rows(self.points, keep, fresh)
-        labels = None if labels is None else np.concatenate([self.ground[keep], labels])
+        if self.labelled or labels is not None:
+            fresh_labels = self._labels_of(cloud, len(fresh)) if labels is None else labels
+            labels = np.concatenate([self.ground[keep], fresh_labels])
         known = self.sampling if drift <= MAX_DRIFT else None
         began = None if began is None or self.rays is None else self.rays.began_at(keep, began)
         scene = assemble_scene(cloud, labels, self.config, like=self, known=known, origins=began, progress=progress)
@@ -435,7 +437,7 @@ class Scene:
         fields = _fit_grounds(now.levels, self.config, self, now.survey.former)
         progress("ready", 1.0)
         known = self.version + 1, self.noise, self.labelled
-        points, own = now.cloud
+        points, own = now.found.cloud
         scene = Scene(points, own, now.levels, fields, self.config, *known, now, drift, now.rays)
         scene.shades = self.shades
         if scene.scan == self.scan and now.touched:  # else all that stops a body may be another
@@ -448,13 +450,11 @@ class Scene:
             return None
         return np.broadcast_to(np.nan if origins is None else check_origins(origins, fresh), fresh.shape).copy()
 
-    def _labels_of(self, fresh: FloatArray, ground: ArrayLike | None, keep: BoolArray) -> BoolArray:
-        if ground is not None:
-            return check_labels(ground, len(fresh))
-        if not len(fresh):
+    def _labels_of(self, cloud: FloatArray, count: int) -> BoolArray:
+        """Which of the last points of a cloud, so many, are ground."""
+        if count == 0:
             return np.zeros(0, dtype=bool)
-        cloud = chosen_rows(self.points, keep, fresh)
-        return cure_and_segment(cloud, None, self.config.perception).ground[len(cloud) - len(fresh) :]
+        return cure_and_segment(cloud, None, self.config.perception).cloud[1][-count:]
 
     def forget_agents(self) -> None:
         """Drop what was built for single kinds of body; it is built again on use."""
@@ -608,25 +608,20 @@ def assemble_scene(
     """
     progress("segment ground", 0.0)
     found = cure_and_segment(cloud, labels, config.perception, known)
-    cured, ground, segmentation, noisy = found
     give_back(len(cloud))
     progress("build levels", 0.4)
-    held, labelled = (points_of(cloud), ground) if noisy is None else (noisy.held.points, noisy.own_ground)
-    width = known.width if known is not None else None
-    if segmentation is not None:
-        width = segmentation.layers.cell_width
-    spread, measured = (0.0, held) if noisy is None else (noisy.noise, noisy.points)
+    width = found.width if found.width is not None or known is None else known.width
+    measured, ground = found.cloud
     rays = None if origins is None else rays_of(measured, origins)
-    levels, survey = survey_levels(held, labelled, config.perception, width=width, noise=spread, rays=rays)
+    own = found.points, found.ground, config.perception
+    levels, survey = survey_levels(*own, width=width, noise=found.spread, rays=rays)
     give_back(len(cloud))
     progress("fit ground fields", 0.7)
     fields = _fit_grounds(levels, config, like, range(len(like.surfaces)) if like is not None else ())
     progress("ready", 1.0)
-    noise = cured.measured if cured.measured > config.perception.negligible_noise else 0.0
-    version = 1 if like is None else like.version + 1
-    of = None if noisy is not None else segmentation
-    perceived = Perceived(held, labelled, of, levels, survey, (), noisy, rays).lasting()
-    facts = version, in_steps(noise, NOISE_STEP), labels is not None
+    noise = found.measured if found.measured > config.perception.negligible_noise else 0.0
+    facts = 1 if like is None else like.version + 1, in_steps(noise, NOISE_STEP), labels is not None
+    perceived = Perceived(found, levels, survey, rays=rays).lasting()
     return Scene(measured, ground, levels, fields, config, *facts, perceived, rays=rays)
 
 

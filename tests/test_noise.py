@@ -136,7 +136,7 @@ def test_the_treads_of_a_noisy_stair_are_no_scans_that_do_not_fit(seed):
     clean, noisy = (SCENES["stair"](np.random.default_rng(seed), noise=noise) for noise in (0.0, 0.02))
     shown = scanned(noisy.points, clean.points, np.random.default_rng(seed))
     found = cure_and_segment(noisy.points[shown], None, PerceptionConfig())
-    assert found.cured.measured < 0.025
+    assert found.measured < 0.025
     assert overlap(found.ground, clean.ground[shown]) > 0.65  # of two looks at it, the second one took 4 cm for granted
 
 
@@ -176,7 +176,7 @@ def test_all_stages_are_told_the_same_noise():
     rng = np.random.default_rng(3)
     points = np.column_stack([rng.uniform(0.0, 3.0, (20_000, 2)), np.zeros(20_000)])
     points += rng.normal(0.0, 0.0204, points.shape)
-    assert cure_and_segment(points, None, PerceptionConfig()).cured.measured == gpdf.build_scene(points).noise
+    assert cure_and_segment(points, None, PerceptionConfig()).measured == gpdf.build_scene(points).noise
 
 
 def test_what_wear_can_hide_on_a_flight_is_said():
@@ -211,7 +211,7 @@ def test_with_labels_what_is_alone_is_of_a_wall_that_explains_it_or_stays():
     points = np.concatenate([floor, wall]) + rng.normal(0.0, NOISE, (18_000, 3))
     alone = np.array([[2.6, 1.5, 1.0], [3.0 - 3.5 * NOISE, 0.7, 2.0]])  # eight deviations before the wall, and 3.5
     made = cure_and_segment(np.concatenate([points, alone]), np.arange(18_002) < 9_000, PerceptionConfig())
-    assert not made.cured.stray[-2:].any()
-    assert np.linalg.norm(made.cured.points[-2] - alone[0]) < NOISE
-    assert abs(made.cured.points[-1, 0] - 3.0) < 0.5 * NOISE
-    assert np.linalg.norm(made.cured.points[-1] - alone[1]) < 4.0 * NOISE
+    assert not made.noisy.explained.stray[-2:].any()
+    assert np.linalg.norm(made.noisy.last[-2] - alone[0]) < NOISE
+    assert abs(made.noisy.last[-1, 0] - 3.0) < 0.5 * NOISE
+    assert np.linalg.norm(made.noisy.last[-1] - alone[1]) < 4.0 * NOISE

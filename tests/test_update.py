@@ -102,6 +102,29 @@ def test_new_points_without_labels_are_segmented_and_the_old_labels_stay(office)
     assert not changed.ground[len(office.points) :].any()
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_labels_of_new_points_are_told_by_a_scene_without_labels_that_changes_as_well(noise):
+    """As whoever streams scans has none: the second one costs what it touches."""
+    rng = np.random.default_rng(11)
+    made = random_room(rng, noise=noise, spacing=0.03)
+    scene = gpdf.build_scene(made.points, made.ground)
+    twin = gpdf.build_scene(made.points)
+    assert twin.sampling.tiles == scene.sampling.tiles
+    for _ in range(4):
+        change = random_change(twin, rng)
+        scene, twin = scene.update(**change), twin.update(**change)
+        assert scene.perceived.touched
+        fresh = len(change.get("insert", ()))
+        held, own = scene.perceived.twin, twin.perceived.found
+        assert held is None or not held.labelled
+        if held is not None:
+            np.testing.assert_array_equal(held.cloud[1], own.cloud[1])
+            np.testing.assert_array_equal(
+                scene.ground[len(scene.ground) - fresh :], twin.ground[len(twin.ground) - fresh :]
+            )
+        assert_equal_scenes(scene, from_scratch(scene))
+
+
 def test_a_scene_without_labels_finds_its_ground_anew(office):
     scene = gpdf.build_scene(office.points)
     assert not scene.labelled
@@ -180,7 +203,7 @@ def assert_equal_scenes(one, other, *agents):
 
 def assert_equal_findings(one, other):
     """What the ground was found from, from which the next version starts."""
-    ours, theirs = (scene.perceived.segmentation.near.known for scene in (one, other))
+    ours, theirs = (scene.perceived.found.segmentation.near.known for scene in (one, other))
     assert ours.keys() == theirs.keys()
     for name in ours:
         for one, other in zip(ours[name].made, theirs[name].made, strict=True):
@@ -472,7 +495,7 @@ def test_random_changes_of_a_noisy_scene_equal_one_from_scratch(made, labelled, 
         again = from_scratch(changed)
         assert changed.sampling.tiles is not None
         assert changed.sampling == scene.sampling or changed.drift == 0.0  # much of it had changed
-        np.testing.assert_array_equal(changed.perceived.points.present, again.perceived.points.present)
+        np.testing.assert_array_equal(changed.perceived.found.points.present, again.perceived.found.points.present)
         assert_equal_scenes(changed, again, "human")
         touched += bool(changed.perceived.touched)
         scene = changed
@@ -528,7 +551,7 @@ def test_a_noisy_scene_keeps_the_labels_of_its_strays():
     """What denoising leaves out as a stray is no thing to the next version."""
     noisy = random_room(np.random.default_rng(0), noise=0.05)
     scene = gpdf.build_scene(noisy.points, noisy.ground)
-    assert scene.perceived.noisy.explained.stray.any()
+    assert scene.perceived.found.noisy.explained.stray.any()
     assert (scene.ground == noisy.ground).all()
     again = scene.update(remove=np.array([0]))
     assert (again.ground == noisy.ground[1:]).all()

@@ -14,12 +14,11 @@ import numpy as np
 
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.ground import Levels, Touched
-from gpdf_service.perception.cloud import Cloud, WholeError, find_strays
+from gpdf_service.perception.cloud import Cloud, find_strays
+from gpdf_service.perception.cure import Found
 from gpdf_service.perception.levels import Survey, alone, change_levels
-from gpdf_service.perception.noisy import Noisy, change_noisy, longer
+from gpdf_service.perception.noisy import longer
 from gpdf_service.perception.rays import Rays
-from gpdf_service.perception.segment import Segmentation, change_segmentation
-from gpdf_service.tiles.points import Points
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 
@@ -28,38 +27,29 @@ class Perceived:
     """All that is known of a cloud; what a change starts from.
 
     Attributes:
-        points: What its levels are built of, by numbers up to n: the cloud itself, if it is clean.
-        ground: Which of these points are ground, shape (n,); none that is not there.
-        segmentation: What the ground of a clean cloud was found from; None where it was given.
+        found: Its ground.
         levels: The sheets of ground.
         survey: What they were made of.
         touched: Where the last change made anything another; empty after a build.
-        noisy: The cloud, and what was made of it, if it is noisy.
+        rays: Those to its points, where they are known.
+        twin: The ground of the same cloud without its labels, once points came without: there theirs are told.
     """
 
-    points: Points
-    ground: BoolArray
-    segmentation: Segmentation | None
+    found: Found
     levels: Levels
     survey: Survey
     touched: Touched = ()
-    noisy: Noisy | None = None
     rays: Rays | None = None
-
-    @property
-    def cloud(self) -> tuple[Points, BoolArray]:
-        """The cloud as it was measured, by numbers up to m, and which of it are ground, shape (m,)."""
-        return (self.points, self.ground) if self.noisy is None else (self.noisy.points, self.noisy.ground)
+    twin: Found | None = None
 
     def lasting(self) -> Perceived:
         """The same without what only the build needed."""
-        found, noisy = self.segmentation, self.noisy
         return replace(
             self,
-            segmentation=None if found is None else found.lasting(),
+            found=self.found.lasting(),
             survey=replace(self.survey, near=self.survey.near.lasting()),
-            noisy=None if noisy is None else noisy.lasting(),
             rays=None if self.rays is None else replace(self.rays, news=None),
+            twin=None if self.twin is None else self.twin.lasting(),
         )
 
 
@@ -77,7 +67,7 @@ def change(
         old: What was known.
         gone: Numbers of the points that are there no more.
         fresh: Those that are new [m], shape (k, 3).
-        labels: Which of these are ground, shape (k,), and the others as before; None where the segmentation says so.
+        labels: Which of these are ground, shape (k,), and the others as before; None where that is to be found.
         config: Limits.
         began: Of a cloud with rays where those to the new ones began [m], shape (k, 3), NaN where that is not known.
 
@@ -85,43 +75,32 @@ def change(
         WholeError: the cloud has other bounds; build it as a whole.
         NoGroundError: nothing in it is walkable.
     """
-    if old.noisy is not None:
-        noisy, cloud = change_noisy(old.noisy, gone, fresh, labels, config)
-        before = noisy.held.told(longer(old.noisy.ground, len(noisy.ground)))
-        cloud.rays = None if old.rays is None or began is None else old.rays.changed(noisy.points, gone, began)
-        return _changed(replace(old, noisy=noisy), cloud, before, noisy.own_ground, config)
     if len(gone) + len(fresh) == 0:
         return _same(old)
-    cloud = Cloud(old.points.changed(gone, fresh), np.concatenate([old.points.taken(gone), fresh]))
-    cloud.rays = None if old.rays is None or began is None else old.rays.changed(cloud.points, gone, began)
-    before = longer(old.ground, len(cloud.points.there)) & cloud.points.there
-    segmentation = old.segmentation
-    if labels is None:
-        if segmentation is None:
-            raise WholeError
-        segmentation, ground = change_segmentation(segmentation, cloud, before, config)
-    else:
-        ground = before.copy()
-        ground[len(old.ground) :] = labels
-    return _changed(replace(old, segmentation=segmentation), cloud, before, ground, config)
+    twin = old.twin
+    if old.found.labelled:
+        if labels is None and len(fresh):
+            twin = twin or old.found.unlabelled(config)
+        twin = None if twin is None else twin.changed(gone, fresh, None, config)[0]
+        if labels is None:
+            labels = np.zeros(0, dtype=bool) if twin is None or not len(fresh) else twin.cloud[1][-len(fresh) :]
+    found, cloud = old.found.changed(gone, fresh, labels, config)
+    if old.rays is not None and began is not None:
+        cloud.rays = old.rays.changed(found.cloud[0], gone, began)
+    return _changed(replace(old, found=found, twin=twin), cloud, config)
 
 
-def _changed(old: Perceived, cloud: Cloud, before: BoolArray, ground: BoolArray, config: PerceptionConfig) -> Perceived:
-    """What is known of a changed cloud, of whose points some are ground, shape (n,), and others were `before`.
-
-    Of the `old` version are the levels and their survey; what the ground was found from is of this one.
-    """
-    cloud.add(before != ground)
+def _changed(old: Perceived, cloud: Cloud, config: PerceptionConfig) -> Perceived:
+    """What is known of a changed cloud: of the `old` version are levels and their survey, the ground is of this one."""
     if len(cloud.places) == 0 and not cloud.seen_anew:
         return _same(old)
+    ground = old.found.ground
     stray = longer(old.survey.stray, len(ground)) & cloud.points.there
     again = _change_strays(stray, cloud, alone(old.survey.layers.cell_width)) & ~ground
     cloud.add(again != stray)
-    noise = 0.0 if old.noisy is None else old.noisy.noise
-    levels, survey = change_levels(old.survey, cloud, ground, again, config, noise)
+    levels, survey = change_levels(old.survey, cloud, ground, again, config, old.found.spread)
     touched = tuple(zip(survey.former, (made.touched for made in survey.made), strict=True))
-    own = replace(old, points=cloud.points, ground=ground, levels=levels, survey=survey, touched=touched)
-    return replace(own, rays=cloud.rays).lasting()
+    return replace(old, levels=levels, survey=survey, touched=touched, rays=cloud.rays).lasting()
 
 
 def _same(old: Perceived) -> Perceived:

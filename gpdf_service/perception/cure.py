@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.denoise import Denoised, estimate_noise
+from gpdf_service.denoise import estimate_noise
 from gpdf_service.fields import build_tree, estimate_spacing
 from gpdf_service.ground import voxel_pitch
-from gpdf_service.perception.noisy import Noisy, Tiles, tiles_over, without_noise
-from gpdf_service.perception.segment import Segmentation, segment
+from gpdf_service.perception.cloud import Cloud
+from gpdf_service.perception.noisy import Noisy, Tiles, change_noisy, longer, tiles_over, without_noise
+from gpdf_service.perception.segment import Segmentation, change_segmentation, segment
 from gpdf_service.tiles.columns import compacted
-from gpdf_service.tiles.points import points_of
+from gpdf_service.tiles.points import Points, points_of
 from gpdf_service.tiles.rows import bounds_of, cells_of, chosen_rows
 from gpdf_service.tiles.width import columns_over
-from gpdf_service.types import BoolArray, FloatArray
+from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 _SAMPLE = 60_000
 """Points that say how noisy a cloud is: enough for a thousand neighbourhoods."""
@@ -32,20 +34,83 @@ _COLUMN = 1.0
 """[m] Width of the columns that the sample is made of: several times the largest neighbourhood of 5 cm noise."""
 
 
-class CuredGround(NamedTuple):
-    """The ground of a cloud whose noise was taken out.
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Which points of a cloud are ground, and what that was told by.
 
     Attributes:
-        cured: The cloud without its noise.
-        ground: Which of its points are ground, shape (n,): the labels, where they were given; else no stray point is.
-        segmentation: What the ground of a cloud without labels was found from.
-        noisy: What was made of a noisy cloud; None where it was clean enough to stay as it was.
+        points: What levels are built of, by numbers up to n: the cloud itself, if it is clean.
+        ground: Which of these points are ground, shape (n,); none that is not there.
+        measured: Standard deviation of the cloud's points [m].
+        segmentation: What the ground of a clean cloud was found from; None where it was given.
+        noisy: The cloud, and what was made of it, if it is noisy.
     """
 
-    cured: Denoised
+    points: Points
     ground: BoolArray
+    measured: float
     segmentation: Segmentation | None = None
     noisy: Noisy | None = None
+
+    @property
+    def cloud(self) -> tuple[Points, BoolArray]:
+        """The cloud as it was measured, by numbers up to m, and which of it are ground, shape (m,): no stray is."""
+        return (self.points, self.ground) if self.noisy is None else (self.noisy.points, self.noisy.ground)
+
+    @property
+    def labelled(self) -> bool:
+        """Whether the ground was given."""
+        return self.width is None
+
+    @property
+    def width(self) -> float | None:
+        """Of the cells that the ground was found in [m]; None where it was given."""
+        found = self.segmentation if self.noisy is None else self.noisy.segmentation
+        return None if found is None else found.layers.cell_width
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation that was taken out of the points [m]."""
+        return 0.0 if self.noisy is None else self.noisy.noise
+
+    def lasting(self) -> Found:
+        """The same without what only the build needed."""
+        if self.noisy is not None:
+            return replace(self, noisy=self.noisy.lasting())
+        return self if self.segmentation is None else replace(self, segmentation=self.segmentation.lasting())
+
+    def unlabelled(self, config: PerceptionConfig) -> Found:
+        """The same cloud, of as much noise, whose ground is found."""
+        points, _ = self.cloud
+        if self.noisy is not None:
+            return _cured(points, None, self.noisy.tiles, None, config)
+        return _clean(points, None, self.measured, config)
+
+    def changed(
+        self, gone: IntArray, fresh: FloatArray, labels: BoolArray | None, config: PerceptionConfig
+    ) -> tuple[Found, Cloud]:
+        """The next version, and where what levels are built of is another.
+
+        Points are `gone`, by their numbers, and `fresh` ones came, shape (k, 3) [m], with their `labels` where the
+        ground is given.
+
+        Raises:
+            WholeError: the cloud has other bounds; find its ground anew.
+        """
+        if self.noisy is not None:
+            noisy, cloud = change_noisy(self.noisy, gone, fresh, labels, config)
+            before, ground = noisy.held.told(longer(self.noisy.ground, len(noisy.ground))), noisy.own_ground
+            cloud.add(before != ground)
+            return Found(cloud.points, ground, self.measured, None, noisy), cloud
+        cloud = Cloud(self.points.changed(gone, fresh), np.concatenate([self.points.taken(gone), fresh]))
+        before = longer(self.ground, len(cloud.points.there)) & cloud.points.there
+        segmentation, ground = self.segmentation, before.copy()
+        if segmentation is None:
+            ground[len(self.ground) :] = labels
+        else:
+            segmentation, ground = change_segmentation(segmentation, cloud, before, config)
+        cloud.add(before != ground)
+        return Found(cloud.points, ground, self.measured, segmentation), cloud
 
 
 class Sampling(NamedTuple):
@@ -70,7 +135,7 @@ _Sample = tuple[BoolArray, float, float]
 
 def cure_and_segment(
     points: FloatArray, ground: BoolArray | None, config: PerceptionConfig, known: Sampling | None = None
-) -> CuredGround:
+) -> Found:
     """Move the points of a noisy cloud onto their surfaces, and tell ground from the rest.
 
     A clean cloud stays as it is. Two sheets close to each other are a board, and no noise; but ground has one height,
@@ -83,41 +148,39 @@ def cure_and_segment(
         config: Limits.
         known: Of a cloud that changed a little; measured when not given.
     """
-
-    def floor_of() -> tuple[BoolArray, Segmentation | None]:
-        if ground is not None:
-            return ground, None
-        width, pitch = (None, voxel_pitch(points_of(points))) if known is None else (known.width, known.pitch)
-        return segment(points, config, width=width, pitch=pitch)
-
-    if known is not None and known.tiles is not None:
-        return _cured(points, ground, known.tiles, known.width, config)
+    cloud = points_of(points)
     if known is not None:
-        floor, found = floor_of()
-        return CuredGround(_clean(points, known.noise), floor, found)
+        if known.tiles is not None:
+            return _cured(cloud, ground, known.tiles, known.width, config)
+        return _clean(cloud, ground, known.noise, config, known)
     _, spacing, noise = sample = _measure(points)
     least = max(config.negligible_noise, (_SEEN if ground is None else _SEEN_APART) * spacing)
     if ground is not None or noise <= least:
-        floor, found = floor_of()
-        noise = _with_double(points, floor, sample, least)
+        found = _clean(cloud, ground, noise, config)
+        noise = _with_double(points, found.ground, sample, least)
         if noise <= least:
-            return CuredGround(_clean(points, noise), floor, found)
-    return _cured(points, ground, tiles_over(points, noise, spacing), None, config)
+            return replace(found, measured=noise)
+    return _cured(cloud, ground, tiles_over(points, noise, spacing), None, config)
 
 
 def _cured(
-    points: FloatArray, ground: BoolArray | None, tiles: Tiles, width: float | None, config: PerceptionConfig
-) -> CuredGround:
+    points: Points, labels: BoolArray | None, tiles: Tiles, width: float | None, config: PerceptionConfig
+) -> Found:
     """A cloud whose noise is taken out."""
-    noisy = without_noise(points, ground, tiles, config, width)
-    cured = noisy.explained._replace(points=noisy.last, measured=noisy.noise)
-    return CuredGround(cured, noisy.ground, noisy.segmentation, noisy)
+    noisy = without_noise(points, labels, tiles, config, width)
+    return Found(noisy.held.points, noisy.own_ground, noisy.noise, None, noisy)
 
 
-def _clean(points: FloatArray, noise: float) -> Denoised:
-    """Points as they are, shape (n, 3): one number says the noise of all [m], and none is vague or stray."""
-    none, all_ = np.broadcast_to(np.False_, len(points)), np.broadcast_to(noise, len(points))
-    return Denoised(points, all_, none, none, noise, all_)
+def _clean(
+    points: Points, labels: BoolArray | None, noise: float, config: PerceptionConfig, known: Sampling | None = None
+) -> Found:
+    """A cloud as it is, of so little noise."""
+    if labels is not None:
+        return Found(points, labels, noise)
+    width, pitch = (None, voxel_pitch(points)) if known is None else (known.width, known.pitch)
+    ground = np.zeros(len(points.there), dtype=bool)
+    ground[points.there], segmentation = segment(points.present, config, width=width, pitch=pitch)
+    return Found(points, ground, noise, segmentation)
 
 
 def _with_double(points: FloatArray, ground: BoolArray, sample: _Sample, least: float) -> float:

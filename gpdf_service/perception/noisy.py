@@ -188,7 +188,7 @@ class Noisy:
 
 
 def without_noise(
-    points: FloatArray,
+    points: Points,
     labels: BoolArray | None,
     tiles: Tiles,
     config: PerceptionConfig,
@@ -200,17 +200,16 @@ def without_noise(
     labels is denoised as a whole, and then segmented.
 
     Args:
-        points: As they were measured [m], shape (n, 3).
+        points: As they were measured, by numbers up to n.
         labels: Which are ground, shape (n,), where that is given.
         tiles: By which the noise is taken out.
         config: Limits.
         width: Of the cells that the ground is found in [m]; measured when not given.
     """
-    none = np.zeros(0, dtype=bool)
-    nothing = moved(points[:0], none)
-    first = as_measured(points[:0], tiles.noise)
-    was = Noisy(points_of(points[:0]), tiles, labels, first, nothing, None, none, first, points[:0], nothing)
-    return _changed(was, points_of(points), labels, np.arange(len(points)), config, width)[0]
+    every, none = np.concatenate([points.base.points, points.more]), np.zeros(0, dtype=bool)
+    nothing, first = moved(every[:0], none), as_measured(every, tiles.noise)
+    was = Noisy(points_of(every[:0]), tiles, labels, first, nothing, None, none, first, every[:0], nothing)
+    return _changed(was, points, labels, np.flatnonzero(points.there), config, width)[0]
 
 
 def change_noisy(

@@ -22,7 +22,7 @@ def room():
 
 @pytest.fixture(scope="module")
 def noisy(room):
-    return without_noise(*room, tiles_at(room[0]), PerceptionConfig())
+    return without_noise(points_of(room[0]), room[1], tiles_at(room[0]), PerceptionConfig())
 
 
 def tiles_at(points, off=0.0):
@@ -54,7 +54,7 @@ def test_no_seam_shows(room, noisy):
 
 def test_other_tiles_tell_the_same_but_for_few_points(room, noisy):
     points, ground = room
-    other = without_noise(points, ground, tiles_at(points, 1.0), PerceptionConfig())
+    other = without_noise(points_of(points), ground, tiles_at(points, 1.0), PerceptionConfig())
     off = np.linalg.norm(noisy.last - other.last, axis=1)
     assert (off > 0.1 * NOISE).mean() < 1e-3
 
@@ -90,7 +90,7 @@ def test_points_at_other_places_keep_their_order(room):
 def test_a_stray_that_goes_and_moves_nothing_leaves_all_as_it_was(monkeypatch):
     made = random_room(np.random.default_rng(0), noise=0.05)
     scene = gpdf.build_scene(made.points)
-    stray = np.flatnonzero(scene.perceived.noisy.first.stray)[:1]
+    stray = np.flatnonzero(scene.perceived.found.noisy.first.stray)[:1]
     assert len(stray) == 1
     monkeypatch.setattr(noisy_module, "_tell", lambda points, *_: np.zeros(len(points.there), dtype=bool))
     gone = scene.update(remove=stray)
