@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import binary_fill_holes
 
 from gpdf_service.clouds import check_finite, check_labels, check_points
+from gpdf_service.clouds.stream import rows_in_new_voxels
 from gpdf_service.config import Config
 from gpdf_service.denoise import FAR
 from gpdf_service.errors import CloudError, SceneFileError
@@ -386,6 +387,7 @@ class Scene:
         *,
         ground: ArrayLike | None = None,
         origins: ArrayLike | None = None,
+        thin: float | None = None,
         progress: Progress = lambda stage, done: None,
     ) -> Scene:
         """The next version of this scene, after a further scan, or with something taken away; this one stays as it is.
@@ -398,6 +400,8 @@ class Scene:
             ground: Which of the new points are ground, shape (k,). Where it is not given they are segmented together
                 with the points that are there; labels that the scene was built with stay.
             origins: Where the rays to the new points began [m], (3,) or (k, 3); kept if the scene was built with some.
+            thin: Of the new points only those are taken, one each, in whose voxel of this width [m] no point is: what
+                is scanned over and over does not grow. All where it is not given.
             progress: Called as the work goes on.
 
         Raises:
@@ -411,11 +415,14 @@ class Scene:
         except IndexError as error:
             raise CloudError("remove", f"rows that are not there ({error})", "Name rows of `points`.") from error
         fresh, gone = np.zeros((0, 3)) if insert is None else check_points(insert), np.flatnonzero(~keep)
+        labels, began = None if ground is None else check_labels(ground, len(fresh)), self._began_at(fresh, origins)
+        if thin is not None:
+            rows = rows_in_new_voxels(fresh, thin, self.points[keep])
+            fresh, labels = fresh[rows], None if labels is None else labels[rows]
+            began = None if began is None else began[rows]
         count = len(keep) - len(gone) + len(fresh)
         if not count:
             raise CloudError("update", "no point would be left", "Keep some, or build another scene.")
-        labels = None if ground is None else check_labels(ground, len(fresh))
-        began = self._began_at(fresh, origins)
         drift = self.drift + (len(gone) + len(fresh)) / count
         if self.perceived is not None and drift <= MAX_DRIFT and (self.labelled or labels is None):
             with suppress(WholeError):

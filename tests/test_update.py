@@ -125,6 +125,38 @@ def test_labels_of_new_points_are_told_by_a_scene_without_labels_that_changes_as
         assert_equal_scenes(scene, from_scratch(scene))
 
 
+def test_a_place_that_is_scanned_again_takes_what_is_new_alone(office):
+    again = office.points + np.random.default_rng(0).normal(0.0, 1e-3, office.points.shape)
+    crate = box((2.0, 2.0, 0.1), (2.8, 2.8, 1.0), 20_000)
+    scan = np.concatenate([again, crate])
+    ground, origins = (
+        np.append(office.ground, np.zeros(len(crate), dtype=bool)),
+        np.arange(3.0 * len(scan)).reshape(-1, 3),
+    )
+    more = gpdf.build_scene(office.points, office.ground, origins=(3.0, 2.0, 1.5)).update(
+        insert=scan, ground=ground, origins=origins, thin=0.1
+    )
+    fresh = more.points[len(office.points) :]
+    voxels = [set(map(tuple, np.floor(points / 0.1).astype(int).tolist())) for points in (office.points, fresh, scan)]
+    assert len(voxels[1]) == len(fresh)
+    assert voxels[1] == voxels[2] - voxels[0]
+    rows = {tuple(point): row for row, point in enumerate(scan.tolist())}
+    row = [rows[tuple(point)] for point in fresh.tolist()]
+    assert sorted(row) == row
+    np.testing.assert_array_equal(more.ground[len(office.points) :], ground[row])
+    np.testing.assert_array_equal(more.rays.began[len(office.points) :], origins[row])
+    same = more.update(insert=scan, ground=ground, origins=origins, thin=0.1)
+    assert (same.version, len(same.points), same.digest) == (more.version + 1, len(more.points), more.digest)
+    without = more.update(remove=np.arange(len(office.points), len(more.points)))
+    assert len(without.update(insert=crate, thin=0.1).points) > len(without.points)  # what is gone takes no room
+
+
+@pytest.mark.parametrize("width", [0.0, -1.0, np.nan, np.inf])
+def test_voxels_without_a_width_are_refused(office, width):
+    with pytest.raises(CloudError, match="thin"):
+        office.update(insert=office.points[:10], thin=width)
+
+
 def test_a_scene_without_labels_finds_its_ground_anew(office):
     scene = gpdf.build_scene(office.points)
     assert not scene.labelled

@@ -422,6 +422,7 @@ class Client:
         radius: float = 0.05,
         pose: ArrayLike | None = None,
         origins: ArrayLike | None = None,
+        thin: float = 0.0,
         wait: bool = True,
         timeout_s: float = 300.0,
     ) -> dict[str, Any]:
@@ -435,6 +436,8 @@ class Client:
             pose: From the points' frame to the scene's, (4, 4); without one they are in the scene's.
             origins: Where the rays to the new points began [m], (3,) or (k, 3), in the points' frame: (0, 0, 0) of a
                 sensor's own scan. They tell what is free between samples, in a scene that was built with origins.
+            thin: Of the new points only those are taken, one each, in whose voxel of this width [m] the scene has none:
+                so it does not grow where it is scanned over and over. All if it is 0.
             wait: Whether to wait until the next version is ready. Who streams scans does not: see `watch_scenes`.
             timeout_s: Seconds to wait.
 
@@ -461,6 +464,7 @@ class Client:
                 gone=Array.pack(gone[rows], "f4"),
                 radius=radius,
                 origins=_of_part(began, rows),
+                thin=thin,
             )
             self.ask(keys.SCENE_UPDATE, request, SceneReply, timeout_s, {Status.BUILDING})
         return self.wait_for_scene(name, timeout_s=timeout_s) if wait else {}
@@ -858,6 +862,7 @@ class AsyncClient:
         radius: float = 0.05,
         pose: ArrayLike | None = None,
         origins: ArrayLike | None = None,
+        thin: float = 0.0,
         wait: bool = True,
         timeout_s: float = 300.0,
     ) -> dict[str, Any]:
@@ -870,6 +875,7 @@ class AsyncClient:
             radius=radius,
             pose=pose,
             origins=origins,
+            thin=thin,
             wait=wait,
             timeout_s=timeout_s,
         )

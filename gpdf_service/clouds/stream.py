@@ -24,6 +24,7 @@ from gpdf_service.clouds.formats import (
     record_colours,
 )
 from gpdf_service.errors import CloudError
+from gpdf_service.tiles.rows import rows_among
 from gpdf_service.types import FloatArray, IntArray
 
 CHUNK = 1_000_000
@@ -45,9 +46,7 @@ class VoxelSieve:
     """
 
     def __init__(self, width: float) -> None:
-        if not 0.0 < width < np.inf:
-            raise CloudError("thin", f"a width of {width!r} m", "It must be positive and finite.")
-        self.width = width
+        self.width = _check_width(width)
         self._first: FloatArray | None = None
         self._keys = np.zeros(0, np.int64)
         self._points: list[FloatArray] = []
@@ -64,7 +63,9 @@ class VoxelSieve:
         rows = np.flatnonzero(np.isfinite(points.sum(axis=1)))
         if len(rows) == 0:
             return
-        key = self._key(points[rows])
+        if self._first is None:
+            self._first = np.floor(points[rows[0]] / self.width)
+        key = _keys(points[rows], self.width, self._first)
         key, first = np.unique(key, return_index=True)
         at = np.searchsorted(self._keys, key)
         fresh = np.append(self._keys, np.int64(-1))[at] != key
@@ -76,17 +77,6 @@ class VoxelSieve:
         if colours is not None:
             self._colours.append(colours[rows])
 
-    def _key(self, points: FloatArray) -> IntArray:
-        voxel = np.floor(points / self.width)
-        if self._first is None:
-            self._first = voxel[0]
-        voxel = (voxel - self._first).astype(np.int64) + _REACH
-        if voxel.min() < 0 or voxel.max() >= 2 * _REACH:
-            far = float(np.abs(voxel - _REACH).max() * self.width)
-            raise CloudError("thin", f"points {far:.0f} m apart", "Take wider voxels, or a part of the cloud.")
-        key: IntArray = (voxel[:, 0] << 2 * _BITS) | (voxel[:, 1] << _BITS) | voxel[:, 2]
-        return key
-
     def result(self) -> tuple[FloatArray, IntArray | None, Colours | None]:
         """The points that were kept, in the order that they came in, their labels and their colours."""
         points, count = np.concatenate([np.zeros((0, 3)), *self._points]), len(self._points)
@@ -97,6 +87,42 @@ class VoxelSieve:
             np.concatenate(labels) if labels and len(labels) == count else None,
             np.concatenate(colours) if colours and len(colours) == count else None,
         )
+
+
+def _check_width(width: float) -> float:
+    if not 0.0 < width < np.inf:
+        raise CloudError("thin", f"a width of {width!r} m", "It must be positive and finite.")
+    return width
+
+
+def _keys(points: FloatArray, width: float, first: FloatArray) -> IntArray:
+    """A number for the voxel of each of the points, (n, 3) [m], none of which is far from the `first` voxel."""
+    voxel = (np.floor(points / width) - first).astype(np.int64) + _REACH
+    if voxel.min(initial=0) < 0 or voxel.max(initial=0) >= 2 * _REACH:
+        far = float(np.abs(voxel - _REACH).max() * width)
+        raise CloudError("thin", f"points {far:.0f} m apart", "Take wider voxels, or a part of the cloud.")
+    key: IntArray = (voxel[:, 0] << 2 * _BITS) | (voxel[:, 1] << _BITS) | voxel[:, 2]
+    return key
+
+
+def rows_in_new_voxels(points: FloatArray, width: float, *held: FloatArray) -> IntArray:
+    """Rows of the points (n, 3) that are the first in a voxel of that `width` [m] in which none of the `held` ones is.
+
+    Raises:
+        CloudError: a width that is none, or points too far apart for it.
+    """
+    _check_width(width)
+    if len(points) == 0:
+        return np.zeros(0, np.int64)
+    low, high = points.min(axis=0), points.max(axis=0)
+    key, row = np.unique(_keys(points, width, first := np.floor(low / width)), return_index=True)
+    new = np.ones(len(key), dtype=bool)
+    for each in held:
+        near = each[((each >= low - width) & (each <= high + width)).all(axis=1)]
+        taken = rows_among(_keys(near, width, first), key)
+        new[taken[taken >= 0]] = False
+    rows: IntArray = np.sort(row[new])
+    return rows
 
 
 def chunks_of(path: Path) -> Iterator[Chunk] | None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from gpdf_service.clouds.stream import rows_in_new_voxels
 from gpdf_service.pipeline import Progress
 from gpdf_service.scene import Scene
 from gpdf_service.types import BoolArray, FloatArray
@@ -22,12 +23,14 @@ class Change:
         gone: Places that are empty now [m], (j, 3).
         radius: What was within this of such a place is gone [m].
         origins: Where the rays to the new points began [m], (k, 3), if that is known.
+        thin: Only those are taken, one each, in whose voxel of this width [m] no point is; all if it is 0.
     """
 
     insert: FloatArray
     gone: FloatArray
     radius: float
     origins: FloatArray | None = None
+    thin: float = 0.0
 
     @property
     def size(self) -> int:
@@ -42,9 +45,12 @@ def changed(scene: Scene, changes: Sequence[Change], progress: Progress) -> Scen
     for change in changes:
         gone |= _near(scene.points, change)
         stays = ~_near(fresh, change)
-        fresh = np.concatenate([fresh[stays], change.insert])
-        unknown = np.full(change.insert.shape, np.nan)
-        began = np.concatenate([began[stays], unknown if change.origins is None else change.origins])
+        fresh, rows = fresh[stays], np.arange(len(change.insert))
+        if change.thin:
+            rows = rows_in_new_voxels(change.insert, change.thin, scene.points[~gone], fresh)
+        origins = np.full(change.insert.shape, np.nan) if change.origins is None else change.origins
+        fresh = np.concatenate([fresh, change.insert[rows]])
+        began = np.concatenate([began[stays], origins[rows]])
     return scene.update(insert=fresh if len(fresh) else None, remove=gone, origins=began, progress=progress)
 
 

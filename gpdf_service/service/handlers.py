@@ -200,11 +200,13 @@ class Handlers:
         self._entry(request.scene)
         if not 0 < request.radius <= LARGEST_BODY:
             raise RequestError("radius", f"{request.radius}", f"Give more than 0, at most {LARGEST_BODY} m.")
+        if not 0.0 <= request.thin < LARGEST_BODY:
+            raise RequestError("thin", f"{request.thin}", "Give 0 to take all points, or the width of voxels [m].")
         points = _points(request.points)
         gone = _labels("gone", request.gone, len(points))
         part = request.upload_id, request.part, request.parts
-        change, began = (points, gone, request.radius), _origins(request.origins, len(points))
-        return self._take_part(request, lambda: self.shelf.add_change(request.scene, *part, *change, began))
+        change, how = (points, gone, request.radius), (_origins(request.origins, len(points)), request.thin)
+        return self._take_part(request, lambda: self.shelf.add_change(request.scene, *part, *change, *how))
 
     def _take_part(self, request: UploadRequest | UpdateRequest, take: Callable[[], bool]) -> SceneReply:
         """Take a part, but once: who asks again with the same `request_id` has not heard the reply."""

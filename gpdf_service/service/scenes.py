@@ -234,6 +234,7 @@ class Shelf:
         gone: BoolArray,
         radius: float,
         origins: FloatArray | None = None,
+        thin: float = 0.0,
     ) -> bool:
         """Take one part of a change to a scene; True when it was the last, and the next version is begun, or soon is.
 
@@ -252,7 +253,7 @@ class Shelf:
         whole = self._uploads.add(f"change of {name}/{upload_id}", part, parts, sent)
         if whole is None:
             return False
-        self._take(self._write_down("change", name, {"radius": radius}, **whole), entry)
+        self._take(self._write_down("change", name, {"radius": radius, "thin": thin}, **whole), entry)
         return True
 
     def _write_down(self, kind: Kind, name: str, facts: Mapping[str, Any], **arrays: NDArray[Any]) -> Task:
@@ -343,7 +344,7 @@ class Shelf:
             return job
         first = tasks[0]
         if first.kind == "change":
-            changes = [(str(task.path), float(task.facts["radius"])) for task in tasks]
+            changes = [(str(task.path), task.facts["radius"], task.facts.get("thin", 0.0)) for task in tasks]
             return replace(job, base=str(entry.file or ""), changes=changes)
         return replace(job, cloud=str(first.path)) if first.kind == "cloud" else replace(job, file=first.facts["file"])
 

@@ -36,7 +36,7 @@ class Job(msgspec.Struct, frozen=True):
         file: A cloud or a scene.
         cloud: What was uploaded, as the journal keeps it.
         base: File of the version before.
-        changes: What was sent since, as the journal keeps it, with the radius [m] of each.
+        changes: What was sent since, as the journal keeps it, with the radius and the voxels [m] of each.
         agents: Measures of the bodies that were planned for last.
         spare_bytes: That stay free on the disk.
     """
@@ -47,7 +47,7 @@ class Job(msgspec.Struct, frozen=True):
     file: str = ""
     cloud: str = ""
     base: str = ""
-    changes: list[tuple[str, float]] = []
+    changes: list[tuple[str, float, float]] = []
     agents: list[dict[str, Any]] = []
     spare_bytes: float = 0.0
 
@@ -136,11 +136,11 @@ class Workshop:
         if not job.base:
             raise SceneFileError("a change", "the scene that it belongs to could not be built", "Load the scene first.")
         base = self._kept[Path(job.base)][1] if Path(job.base) in self._kept else load_scene(job.base)
-        return changed(base, [_change(Path(path), radius) for path, radius in job.changes], progress)
+        return changed(base, [_change(Path(path), *how) for path, *how in job.changes], progress)
 
 
-def _change(path: Path, radius: float) -> Change:
+def _change(path: Path, radius: float, thin: float) -> Change:
     sent = arrays_of(path)
     gone = sent["gone"] > 0
     origins = sent["origins"][~gone] if "origins" in sent else None
-    return Change(sent["points"][~gone], sent["points"][gone], radius, origins)
+    return Change(sent["points"][~gone], sent["points"][gone], radius, origins, thin)

@@ -314,6 +314,8 @@ class UpdateRequest(msgspec.Struct, frozen=True, kw_only=True):
         radius: What was within this of such a point is gone [m].
         origins: Where the rays to the points began [m]: (1, 3) for all of the part, or (n, 3); none where not known.
             They count in a scene that was built with some.
+        thin: Of the new points only those are taken, one each, in whose voxel of this width [m] no point is; all if it
+            is 0.
     """
 
     scene: str
@@ -326,6 +328,7 @@ class UpdateRequest(msgspec.Struct, frozen=True, kw_only=True):
     deadline_s: float = 30.0
     request_id: str = ""
     origins: Array | None = None
+    thin: float = 0.0
 
 
 class PlaceRequest(msgspec.Struct, frozen=True, kw_only=True):
