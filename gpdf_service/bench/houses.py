@@ -24,7 +24,7 @@ from gpdf_service.synthetic.stairs import STAIRS
 from gpdf_service.tiles.surface import INFERRED, UNKNOWN
 from gpdf_service.types import AGENTS, Agent, BoolArray, FloatArray, PlanResult, Status, Trajectory
 
-COUNT = {"tripod": 21, "handheld": 28, "depth": 0}
+COUNT = {"tripod": 21, "handheld": 28, "depth": 0, "profile": 0}
 """Houses that are scanned in each way, where nothing else is asked for."""
 THIN = 0.03
 """[m] Scans are thinned to one point of such a voxel, as they are handed on in practice."""

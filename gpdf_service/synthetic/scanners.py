@@ -1,4 +1,4 @@
-"""Three scanners in an exact world: on a tripod, carried along a walk, a depth camera; points and where rays began."""
+"""Scanners in an exact world: on a tripod, carried along a walk, a depth camera, of profiles; and where rays began."""
 
 from __future__ import annotations
 
@@ -29,9 +29,11 @@ PICTURE = (120, 90)
 """Pixels of a depth picture that are kept."""
 VIEW = (np.radians(70.0), np.radians(55.0))
 """Field of view of a depth camera."""
-RANGE = {"tripod": 60.0, "handheld": 60.0, "depth": 5.0}
+PROFILE, PROFILE_EVERY = 1440, 0.1
+"""Rays of a profile, and walk between two [m]: points lie in lines, near to each other on each."""
+RANGE = {"tripod": 60.0, "handheld": 60.0, "depth": 5.0, "profile": 30.0}
 """[m] Farthest that each sees."""
-NOISE = {"tripod": 0.002, "handheld": 0.006, "depth": 0.002}
+NOISE = {"tripod": 0.002, "handheld": 0.006, "depth": 0.002, "profile": 0.004}
 """[m] Standard deviation along the ray, where nothing else is asked for; of a depth camera at 1 m, growing as the
 square of the distance (Khoshelham and Elberink 2012)."""
 Look = tuple[FloatArray, FloatArray]
@@ -119,7 +121,19 @@ def depth(place: Place, rng: np.random.Generator, noise: float = NOISE["depth"],
     return _scan(place, _told(looks, progress), noise, rng, "depth")
 
 
-SCANNERS: dict[str, Callable[..., Scan]] = {"tripod": tripod, "handheld": handheld, "depth": depth}
+def profile(
+    place: Place, rng: np.random.Generator, noise: float = NOISE["profile"], progress: Progress = _nobody
+) -> Scan:
+    """A scanner of profiles that somebody carries: each is a plane across the way, which sees straight down, too."""
+    feet, heading = _every(walk(place, rng), PROFILE_EVERY)
+    turn = 2 * np.pi * (np.arange(PROFILE) + rng.random()) / PROFILE
+    rays = np.column_stack([np.zeros(PROFILE), np.sin(turn), -np.cos(turn)])
+    eyes = feet + np.array([0.0, 0.0, HAND_EYE])
+    looks = [(e, _turned(rays, 0.0, 0.0, h)) for e, h in zip(eyes, heading, strict=True)]
+    return _scan(place, _told(looks, progress), noise, rng, "profile")
+
+
+SCANNERS: dict[str, Callable[..., Scan]] = {"tripod": tripod, "handheld": handheld, "depth": depth, "profile": profile}
 
 
 def walk(place: Place, rng: np.random.Generator) -> list[FloatArray]:
@@ -141,14 +155,14 @@ def _excursions(place: Place, room: int, home: FloatArray, rng: np.random.Genera
     return [*path, *path[-2::-1]]
 
 
-def _every(walks: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Places each `EVERY` along walks, and the heading there [rad]."""
+def _every(walks: list[FloatArray], every: float = EVERY) -> tuple[FloatArray, FloatArray]:
+    """Places so far from each other along walks [m], and the heading there [rad]."""
     feet, heading = [], []
     for path in walks:
         ahead = np.diff(path, axis=0)
         step = np.linalg.norm(ahead, axis=1)
         along = np.concatenate([[0.0], np.cumsum(step)])
-        s = np.arange(0.0, along[-1] + 1e-9, EVERY)
+        s = np.arange(0.0, along[-1] + 1e-9, every)
         feet.append(np.column_stack([np.interp(s, along, column) for column in path.T]))
         leg = np.clip(np.searchsorted(along, s, side="right") - 1, 0, max(len(step) - 1, 0))
         heading.append(np.arctan2(ahead[leg, 1], ahead[leg, 0]) if len(step) else np.zeros(len(s)))
