@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
-from gpdf_service.bench.build_changes import differences
+from gpdf_service.bench.build_changes import differences, from_scratch
 from gpdf_service.bench.houses import scanned_house
 from gpdf_service.config import PerceptionConfig
 from gpdf_service.errors import CloudError, NoGroundError
@@ -123,6 +123,19 @@ def test_labels_of_new_points_are_told_by_a_scene_without_labels_that_changes_as
                 scene.ground[len(scene.ground) - fresh :], twin.ground[len(twin.ground) - fresh :]
             )
         assert_equal_scenes(scene, from_scratch(scene))
+
+
+def test_a_twin_that_cannot_follow_what_it_is_not_asked_about_keeps_no_change_from_being_made(office):
+    """What is labelled as no ground, and lies beyond all points, moves the twin's grid, and not that of the ground."""
+    scene = office.update(insert=box((2.0, 2.0, 0.4), (2.8, 2.8, 1.0), 500))
+    assert scene.perceived.twin is not None
+    beyond = box((30.0, 2.0, 0.4), (30.5, 2.5, 1.0), 200)
+    more = scene.update(insert=beyond, ground=np.zeros(len(beyond), dtype=bool))
+    assert more.perceived.touched
+    assert more.perceived.twin is None
+    assert not differences(more, from_scratch(more))
+    again = more.update(insert=box((1.0, 1.0, 0.4), (1.3, 1.3, 1.0), 500))
+    assert not again.ground[-500:].any()
 
 
 def test_a_place_that_is_scanned_again_takes_what_is_new_alone(office):
@@ -276,12 +289,6 @@ def random_change(scene, rng):
     if scene.labelled:
         change["ground"] = np.zeros(len(change.get("insert", ())), dtype=bool)
     return change
-
-
-def from_scratch(scene):
-    """The scene of the same points, labels and rays, with the same sampling."""
-    labels, origins = scene.ground if scene.labelled else None, scene.rays.began if scene.rays else None
-    return assemble_scene(scene.points, labels, scene.config, known=scene.sampling, origins=origins)
 
 
 @pytest.mark.parametrize(

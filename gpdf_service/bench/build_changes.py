@@ -89,7 +89,7 @@ def _changes(scene: Scene, count: int, rng: np.random.Generator) -> Iterator[dic
 
 
 def from_scratch(scene: Scene) -> Scene:
-    """A build of the same points and labels, with the same sampling."""
+    """A build of the same points, labels and rays, with the same sampling."""
     began, labels = scene.rays.began if scene.rays else None, scene.ground if scene.labelled else None
     return assemble_scene(scene.points, labels, scene.config, known=scene.sampling, origins=began)
 

@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gpdf_service.config import PerceptionConfig
+from gpdf_service.errors import NoGroundError
 from gpdf_service.ground import Levels, Touched
-from gpdf_service.perception.cloud import Cloud, find_strays
+from gpdf_service.perception.cloud import Cloud, WholeError, find_strays
 from gpdf_service.perception.cure import Found
 from gpdf_service.perception.levels import Survey, alone, change_levels
 from gpdf_service.perception.noisy import longer
@@ -69,7 +70,8 @@ def change(
         fresh: Those that are new [m], shape (k, 3).
         labels: Which of these are ground, shape (k,), and the others as before; None where that is to be found.
         config: Limits.
-        began: Of a cloud with rays where those to the new ones began [m], shape (k, 3), NaN where that is not known.
+        began: Of a cloud with rays where those to the new ones began [m], shape (k, 3), NaN where that is not known, as
+            it is of none without.
 
     Raises:
         WholeError: the cloud has other bounds; build it as a whole.
@@ -77,17 +79,33 @@ def change(
     """
     if len(gone) + len(fresh) == 0:
         return _same(old)
-    twin = old.twin
+    twin = None
     if old.found.labelled:
-        if labels is None and len(fresh):
-            twin = twin or old.found.unlabelled(config)
-        twin = None if twin is None else twin.changed(gone, fresh, None, config)[0]
-        if labels is None:
-            labels = np.zeros(0, dtype=bool) if twin is None or not len(fresh) else twin.cloud[1][-len(fresh) :]
+        twin, labels = _told_by_twin(old, gone, fresh, labels, config)
     found, cloud = old.found.changed(gone, fresh, labels, config)
-    if old.rays is not None and began is not None:
+    if old.rays is not None:
         cloud.rays = old.rays.changed(found.cloud[0], gone, began)
     return _changed(replace(old, found=found, twin=twin), cloud, config)
+
+
+def _told_by_twin(
+    old: Perceived, gone: IntArray, fresh: FloatArray, labels: BoolArray | None, config: PerceptionConfig
+) -> tuple[Found | None, BoolArray]:
+    """The twin of a cloud with labels, and those of the `fresh` points: as given, or what it says.
+
+    A twin that is not asked, and cannot follow, is let go: it is made again when it is asked.
+    """
+    asked = labels is None and len(fresh) > 0
+    twin = old.found.unlabelled(config) if asked and old.twin is None else old.twin
+    try:
+        twin = None if twin is None else twin.changed(gone, fresh, None, config)[0]
+    except (WholeError, NoGroundError):
+        if asked:
+            raise
+        twin = None
+    if labels is None:
+        labels = twin.cloud[1][-len(fresh) :] if asked and twin is not None else np.zeros(0, dtype=bool)
+    return twin, labels
 
 
 def _changed(old: Perceived, cloud: Cloud, config: PerceptionConfig) -> Perceived:

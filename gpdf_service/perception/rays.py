@@ -66,12 +66,16 @@ class Rays:
             return began
         return np.concatenate([np.broadcast_to(began, (len(keep), 3))[keep], fresh])
 
-    def changed(self, points: Points, gone: IntArray, began: FloatArray) -> Rays:
-        """The next version: to its `points`, without those by number `gone`, and where fresh ones `began`, (m, 3)."""
+    def changed(self, points: Points, gone: IntArray, began: FloatArray | None) -> Rays:
+        """The next version: to its `points`, without those by number `gone`, and where fresh ones `began`, (m, 3).
+
+        These are not known if that is None.
+        """
         first, count = self.origins, len(self.points.base.points)
         own = first[np.where(gone < count, gone, 0) % len(first)]
         own[gone >= count] = self.more[gone[gone >= count] - count]
         fresh = points.more[len(self.more) :]
+        began = np.full(fresh.shape, np.nan) if began is None else began
         came = Bundle(began, fresh, np.ones(len(fresh), dtype=bool))
         went = Bundle(own, points.taken(gone), np.ones(len(gone), dtype=bool))
         return Rays(points, first, np.concatenate([self.more, began]), (came, went))
