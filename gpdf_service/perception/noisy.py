@@ -206,9 +206,11 @@ def without_noise(
         config: Limits.
         width: Of the cells that the ground is found in [m]; measured when not given.
     """
-    every, none = np.concatenate([points.base.points, points.more]), np.zeros(0, dtype=bool)
-    nothing, first = moved(every[:0], none), as_measured(every, tiles.noise)
-    was = Noisy(points_of(every[:0]), tiles, labels, first, nothing, None, none, first, every[:0], nothing)
+    none, every = np.zeros(0, dtype=bool), points.base.points[:0]
+    nothing = moved(every, none)
+    # those that have gone stay where they were measured: at the origin they would widen what is looked through
+    first = as_measured(every if points.untouched else np.concatenate([points.base.points, points.more]), tiles.noise)
+    was = Noisy(points_of(every), tiles, labels, first, nothing, None, none, first, every, nothing)
     return _changed(was, points, labels, np.flatnonzero(points.there), config, width)[0]
 
 
