@@ -417,7 +417,7 @@ class Scene:
         fresh, gone = np.zeros((0, 3)) if insert is None else check_points(insert), np.flatnonzero(~keep)
         labels, began = None if ground is None else check_labels(ground, len(fresh)), self._began_at(fresh, origins)
         if thin is not None:
-            rows = rows_in_new_voxels(fresh, thin, self.points[keep])
+            rows = rows_in_new_voxels(fresh, thin, chosen_rows(self.points, keep))
             fresh, labels = fresh[rows], None if labels is None else labels[rows]
             began = None if began is None else began[rows]
         count = len(keep) - len(gone) + len(fresh)

@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     if args.changes is not None:
         scenes = [Subject("hall", hall_of(args.hall))] if args.hall else clouds(args)
         noisy = [(scene, noise) for scene in scenes for noise in args.noise or (0.0,)]
-        show([measure_changes(*each, args.changes, args.checked) for each in noisy], as_json=args.json)
+        show([measure_changes(*scene, args.changes, args.checked) for scene in noisy], as_json=args.json)
         return 0
     if args.noise is not None:
         from gpdf_service.bench.build_noise import measure_noise

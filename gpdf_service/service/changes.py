@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from gpdf_service.clouds.stream import rows_in_new_voxels
 from gpdf_service.pipeline import Progress
 from gpdf_service.scene import Scene
+from gpdf_service.tiles.rows import chosen_rows
 from gpdf_service.types import BoolArray, FloatArray
 
 
@@ -47,7 +48,7 @@ def changed(scene: Scene, changes: Sequence[Change], progress: Progress) -> Scen
         stays = ~_near(fresh, change)
         fresh, rows = fresh[stays], np.arange(len(change.insert))
         if change.thin:
-            rows = rows_in_new_voxels(change.insert, change.thin, scene.points[~gone], fresh)
+            rows = rows_in_new_voxels(change.insert, change.thin, chosen_rows(scene.points, ~gone), fresh)
         origins = np.full(change.insert.shape, np.nan) if change.origins is None else change.origins
         fresh = np.concatenate([fresh, change.insert[rows]])
         began = np.concatenate([began[stays], origins[rows]])
