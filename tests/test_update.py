@@ -518,6 +518,17 @@ def test_a_scan_beyond_the_map_or_of_much_of_it_is_built_as_a_whole(office):
     assert_equal_scenes(halved, gpdf.build_scene(halved.points))
 
 
+def test_a_single_point_where_nothing_is_equals_a_scene_from_scratch():
+    """What is new is then one node alone, whose place is no cut of an array of places."""
+    x, y = np.meshgrid(np.arange(0.0, 6.0, 0.05), np.arange(0.0, 6.0, 0.05))
+    floor = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    there = ~((floor[:, :2] > 2.0) & (floor[:, :2] < 3.0)).all(axis=1)
+    scene = gpdf.build_scene(floor[there])
+    for place in ((2.5, 2.5, 0.0), (2.5, 2.5, 3.0), (6.3, 3.0, 0.0)):
+        scene = scene.update(insert=[place])
+        assert_equal_scenes(scene, from_scratch(scene))
+
+
 @pytest.mark.parametrize(
     ("made", "labelled", "noise"),
     [(random_room, False, 0.02), (random_room, True, 0.02), (random_room, False, 0.01), (stair, True, 0.02)],

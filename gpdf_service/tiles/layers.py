@@ -39,12 +39,16 @@ STRIP = 64
 
 def flat(strips: Sequence[NDArray[Any]]) -> NDArray[Any]:
     """All in one: what they were cut from in a build, where they are that."""
+    whole = strips[0].base
     if len(strips) == 1:
         return strips[0]
-    whole = strips[0].base
-    if whole is not None and all(each.base is whole for each in strips) and sum(map(len, strips)) == len(whole):
-        return whole
-    return np.concatenate(strips)
+    return whole if isinstance(whole, np.ndarray) and _are_all(strips, whole) else np.concatenate(strips)
+
+
+def _are_all(strips: Sequence[NDArray[Any]], whole: NDArray[Any]) -> bool:
+    """Whether strips are all of an array, and not of columns of it: the base of a view of a view is under both."""
+    kinds = {(each.dtype, each.shape[1:], each.strides) for each in (strips[0], whole)}
+    return len(kinds) == 1 and all(each.base is whole for each in strips) and sum(map(len, strips)) == len(whole)
 
 
 class Rest(NamedTuple):
