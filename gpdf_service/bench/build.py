@@ -38,6 +38,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--changes", type=int, help="CPU time of so many changes of 1 m² instead, each beside a build from scratch"
     )
     parser.add_argument("--checked", type=int, default=16, help="with --changes: how many are built from scratch")
+    parser.add_argument(
+        "--wild", type=int, help="so many random places instead, each changed in any way, beside builds from scratch"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="with --wild: other places")
     parser.add_argument("--hall", type=int, help="with --changes: a hall of so many points in place of scenes")
     parser.add_argument("--rooms", type=int, default=2, help="with --noise: how many, of 0.3 to 0.5 M points")
     parser.add_argument("--tiles", action="store_true", help="with --scale: the points in files, thinned while read")
@@ -50,6 +54,12 @@ def run(args: argparse.Namespace) -> int:
     if args.scale is not None:
         counts = args.scale or (300_000, 1_000_000, 3_000_000)
         show([measure(count, tiled=args.tiles) for count in each(counts, "build")], as_json=args.json)
+        return 0
+    if args.wild is not None:
+        from gpdf_service.bench.build_wild import CHANGES, wild_rows
+
+        rows = list(each(wild_rows(args.wild, args.changes or CHANGES, args.seed), "places", args.wild))
+        show(rows, as_json=args.json)
         return 0
     if args.changes is not None:
         scenes = [Subject("hall", hall_of(args.hall))] if args.hall else clouds(args)
