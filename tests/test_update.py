@@ -353,9 +353,9 @@ def test_a_scene_keeps_its_resolution_until_much_of_it_has_changed():
     assert thinner.perceived.touched
     assert not beyond.perceived.touched  # the map has other bounds: all was looked at
     for changed in (thinner, beyond):
-        assert changed.sampling.width == width
+        assert changed.sampling.grain.width == width
         assert_equal_scenes(changed, from_scratch(changed))
-    assert beyond.update(remove=np.arange(200)).sampling.width > width
+    assert beyond.update(remove=np.arange(200)).sampling.grain.width > width
 
 
 def test_changes_of_voxels_centres_equal_a_scene_from_scratch():
@@ -365,7 +365,7 @@ def test_changes_of_voxels_centres_equal_a_scene_from_scratch():
     above = voxels[rng.random(len(voxels)) < 0.03] + [0, 0, 1]
     wall = np.array([60, 10, 0]) + np.indices((1, 30, 30)).reshape(3, -1).T
     scene = gpdf.build_scene(pitch * (np.concatenate([voxels, above, wall]) + 0.5))
-    assert scene.sampling.pitch == pytest.approx(pitch)
+    assert scene.sampling.grain.pitch == pytest.approx(pitch)
     scene.free_space("human")
     for corner in ([20, 20, 1], [40, 60, 0], [10, 40, 1]):
         fresh = pitch * (np.unique(corner + rng.integers(0, [8, 8, 2], (60, 3)), axis=0) + 0.5)
@@ -397,6 +397,20 @@ def test_how_noisy_a_cloud_is_is_kept_as_its_cells_width_is():
         assert_equal_scenes(changed, from_scratch(changed))
         differs.append(assemble_scene(changed.points, changed.ground, changed.config).noise != scene.noise)
     assert any(differs)
+
+
+def test_how_rough_the_ground_is_is_kept_as_its_cells_width_is():
+    """What comes onto a rough floor is told by the scatter of the floor before it came, in a build with it as well."""
+    rng = np.random.default_rng(5)
+    floor = np.column_stack([rng.uniform(0.0, 4.0, (4000, 2)), rng.normal(0.0, 0.012, 4000)])
+    scene = gpdf.build_scene(floor)
+    rough = scene.perceived.found.grain
+    assert rough.deviation > 0.008
+    changed = scene.update(insert=rng.uniform((1.0, 1.0, -0.03), (2.0, 2.0, 0.06), (150, 3)))
+    assert changed.perceived.touched
+    assert changed.perceived.found.grain == from_scratch(changed).perceived.found.grain == rough
+    assert gpdf.build_scene(changed.points).perceived.found.grain.deviation > rough.deviation
+    assert_equal_scenes(changed, from_scratch(changed))
 
 
 def test_a_ground_field_resolves_the_same_however_much_of_the_ground_is_steep():

@@ -13,7 +13,7 @@ from gpdf_service.fields import build_tree, estimate_spacing
 from gpdf_service.ground import voxel_pitch
 from gpdf_service.perception.cloud import Cloud
 from gpdf_service.perception.noisy import Noisy, Tiles, change_noisy, longer, tiles_over, without_noise
-from gpdf_service.perception.segment import Segmentation, change_segmentation, segment
+from gpdf_service.perception.segment import ANY, Grain, Segmentation, change_segmentation, segment
 from gpdf_service.tiles.columns import compacted
 from gpdf_service.tiles.points import Points, points_of
 from gpdf_service.tiles.rows import bounds_of, cells_of, chosen_rows
@@ -60,13 +60,13 @@ class Found:
     @property
     def labelled(self) -> bool:
         """Whether the ground was given."""
-        return self.width is None
+        return self.grain is None
 
     @property
-    def width(self) -> float | None:
-        """Of the cells that the ground was found in [m]; None where it was given."""
+    def grain(self) -> Grain | None:
+        """In which the ground was found; None where it was given."""
         found = self.segmentation if self.noisy is None else self.noisy.segmentation
-        return None if found is None else found.layers.cell_width
+        return None if found is None else found.grain
 
     @property
     def spread(self) -> float:
@@ -83,8 +83,8 @@ class Found:
         """The same cloud, of as much noise, whose ground is found."""
         points, _ = self.cloud
         if self.noisy is not None:
-            return _cured(points, None, self.noisy.tiles, None, config)
-        return _clean(points, None, self.measured, config)
+            return _cured(points, None, self.noisy.tiles, ANY, config)
+        return _clean(points, None, self.measured, Grain(pitch=voxel_pitch(points)), config)
 
     def changed(
         self, gone: IntArray, fresh: FloatArray, labels: BoolArray | None, config: PerceptionConfig
@@ -117,15 +117,13 @@ class Sampling(NamedTuple):
     """How a cloud was measured, told once from all of it: the changes of it that follow keep it.
 
     Attributes:
-        width: Of the cells that it is looked at in [m].
+        grain: In which its ground was found; where that was given, the width of the levels' cells alone.
         noise: Standard deviation of its points [m]; 0 when negligible.
-        pitch: Of the voxels whose centres they are [m], where their ground was found; else 0.
         tiles: By which its noise is taken out; None of a clean cloud.
     """
 
-    width: float
+    grain: Grain
     noise: float
-    pitch: float = 0.0
     tiles: Tiles | None = None
 
 
@@ -151,35 +149,31 @@ def cure_and_segment(
     cloud = points_of(points)
     if known is not None:
         if known.tiles is not None:
-            return _cured(cloud, ground, known.tiles, known.width, config)
-        return _clean(cloud, ground, known.noise, config, known)
+            return _cured(cloud, ground, known.tiles, known.grain, config)
+        return _clean(cloud, ground, known.noise, known.grain, config)
     _, spacing, noise = sample = _measure(points)
     least = max(config.negligible_noise, (_SEEN if ground is None else _SEEN_APART) * spacing)
     if ground is not None or noise <= least:
-        found = _clean(cloud, ground, noise, config)
+        grain = ANY if ground is not None else Grain(pitch=voxel_pitch(cloud))
+        found = _clean(cloud, ground, noise, grain, config)
         noise = _with_double(points, found.ground, sample, least)
         if noise <= least:
             return replace(found, measured=noise)
-    return _cured(cloud, ground, tiles_over(points, noise, spacing), None, config)
+    return _cured(cloud, ground, tiles_over(points, noise, spacing), ANY, config)
 
 
-def _cured(
-    points: Points, labels: BoolArray | None, tiles: Tiles, width: float | None, config: PerceptionConfig
-) -> Found:
+def _cured(points: Points, labels: BoolArray | None, tiles: Tiles, grain: Grain, config: PerceptionConfig) -> Found:
     """A cloud whose noise is taken out."""
-    noisy = without_noise(points, labels, tiles, config, width)
+    noisy = without_noise(points, labels, tiles, config, grain)
     return Found(noisy.held.points, noisy.own_ground, noisy.noise, None, noisy)
 
 
-def _clean(
-    points: Points, labels: BoolArray | None, noise: float, config: PerceptionConfig, known: Sampling | None = None
-) -> Found:
+def _clean(points: Points, labels: BoolArray | None, noise: float, grain: Grain, config: PerceptionConfig) -> Found:
     """A cloud as it is, of so little noise."""
     if labels is not None:
         return Found(points, labels, noise)
-    width, pitch = (None, voxel_pitch(points)) if known is None else (known.width, known.pitch)
     ground = np.zeros(len(points.there), dtype=bool)
-    ground[points.there], segmentation = segment(points.present, config, width=width, pitch=pitch)
+    ground[points.there], segmentation = segment(points.present, config, grain)
     return Found(points, ground, noise, segmentation)
 
 

@@ -28,7 +28,7 @@ from gpdf_service.denoise import (
 )
 from gpdf_service.fields.threads import run_parallel
 from gpdf_service.perception.cloud import Cloud
-from gpdf_service.perception.segment import Segmentation, change_segmentation, segment
+from gpdf_service.perception.segment import ANY, Grain, Segmentation, change_segmentation, segment
 from gpdf_service.tiles.columns import compacted
 from gpdf_service.tiles.points import Base, Points, points_of
 from gpdf_service.tiles.rows import INDEX, bounds_of, cells_of
@@ -192,7 +192,7 @@ def without_noise(
     labels: BoolArray | None,
     tiles: Tiles,
     config: PerceptionConfig,
-    width: float | None = None,
+    grain: Grain = ANY,
 ) -> Noisy:
     """A cloud without its noise, and its ground: a change of one without points.
 
@@ -204,14 +204,14 @@ def without_noise(
         labels: Which are ground, shape (n,), where that is given.
         tiles: By which the noise is taken out.
         config: Limits.
-        width: Of the cells that the ground is found in [m]; measured when not given.
+        grain: In which the ground is found.
     """
     none, every = np.zeros(0, dtype=bool), points.base.points[:0]
     nothing = moved(every, none)
     # those that have gone stay where they were measured: at the origin they would widen what is looked through
     first = as_measured(every if points.untouched else np.concatenate([points.base.points, points.more]), tiles.noise)
     was = Noisy(points_of(every), tiles, labels, first, nothing, None, none, first, every, nothing)
-    return _changed(was, points, labels, np.flatnonzero(points.there), config, width)[0]
+    return _changed(was, points, labels, np.flatnonzero(points.there), config, grain)[0]
 
 
 def change_noisy(
@@ -235,7 +235,7 @@ def _changed(
     labels: BoolArray | None,
     news: IntArray,
     config: PerceptionConfig,
-    width: float | None = None,
+    grain: Grain = ANY,
 ) -> tuple[Noisy, Cloud]:
     """See `change_noisy`; `news` are the numbers, which ascend, of points that went, or came."""
     tiles, count, new = was.tiles, len(points.there), np.zeros(len(points.there), dtype=bool)
@@ -243,7 +243,7 @@ def _changed(
     first = was.first.each(partial(longer, count=count))
     other = new | _tell(points, tiles, news, first.arrays, partial(_denoised, points, tiles, labels))
     if labels is None:
-        kept, segmentation, ground = _find_ground(was, first, points.there & ~first.stray, other, config, width)
+        kept, segmentation, ground = _find_ground(was, first, points.there & ~first.stray, other, config, grain)
     else:
         kept, segmentation, ground = was.kept, None, labels
     other |= ground != longer(was.ground, count)
@@ -302,13 +302,13 @@ def _denoised(points: Points, tiles: Tiles, labels: BoolArray | None, rows: IntA
 
 
 def _find_ground(
-    was: Noisy, first: Denoised, there: BoolArray, other: BoolArray, config: PerceptionConfig, width: float | None
+    was: Noisy, first: Denoised, there: BoolArray, other: BoolArray, config: PerceptionConfig, grain: Grain
 ) -> tuple[Moved, Segmentation, BoolArray]:
     """The points that are `there`, shape (n,), in what their ground is found, and which of the cloud are ground."""
     kept, cloud = was.kept.now(np.flatnonzero(other), there, first.points)
     ground = np.zeros(len(there), dtype=bool)
     if was.segmentation is None:
-        ground[there], found = segment(kept.points.present, config, width=width, noise=first.local[there])
+        ground[there], found = segment(kept.points.present, config, grain, first.local[there])
         return kept, found, ground
     if len(cloud.places) == 0:
         return kept, was.segmentation, longer(was.ground, len(there))

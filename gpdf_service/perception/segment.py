@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 from math import ceil
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -80,6 +81,24 @@ def segment_ground(points: ArrayLike, config: PerceptionConfig | None = None) ->
     return segment(cloud, config)[0]
 
 
+class Grain(NamedTuple):
+    """What is told once, from all of a cloud, and kept while it changes a little.
+
+    Attributes:
+        width: Of the cells that it is looked at in [m]; None where that is to be measured.
+        deviation: Standard deviation of the points of its ground around it [m]; None where that is to be measured.
+        pitch: Of the voxels whose centres its points are [m]; 0 where they are none.
+    """
+
+    width: float | None = None
+    deviation: float | None = None
+    pitch: float = 0.0
+
+
+ANY = Grain()
+"""Of a cloud of which nothing is known."""
+
+
 @dataclass(frozen=True, slots=True)
 class Segmentation:
     """What was found of the columns of a cloud.
@@ -89,16 +108,14 @@ class Segmentation:
         extents: For the nodes the lowest that the ground is within each one's cell [m], inf where the node is none; the
             highest, -inf where it is none; and the height of the ground beside it that may reach into its cell [m], inf
             where there is none.
-        deviation: Standard deviation of the points of the ground around it [m].
+        grain: What the next versions keep of all of it.
         relief: What is no higher is of the ground [m], shape (k,), or (1,) where it is the same everywhere.
-        pitch: Of the voxels whose centres the points are [m]; 0 where they are none.
     """
 
     near: Beside
     extents: tuple[Strips, ...]
-    deviation: float
+    grain: Grain
     relief: FloatArray
-    pitch: float = 0.0
 
     @property
     def layers(self) -> Layers:
@@ -108,7 +125,7 @@ class Segmentation:
     @property
     def scatter(self) -> FloatArray:
         """How near to the ground a point of it is [m], shape (k,), or (1,) where it is the same everywhere."""
-        return scatter_of(self.deviation, self.relief)
+        return scatter_of(self.grain.deviation, self.relief)
 
     def lasting(self) -> Segmentation:
         """The same without what only the build needed."""
@@ -139,21 +156,19 @@ def first_layers(cloud: FloatArray, config: PerceptionConfig, width: float | Non
 def segment(
     cloud: FloatArray,
     config: PerceptionConfig,
-    *,
-    width: float | None = None,
+    grain: Grain = ANY,
     noise: FloatArray | None = None,
-    pitch: float = 0.0,
 ) -> tuple[BoolArray, Segmentation]:
-    """`segment_ground` of points (n, 3) in cells of that `width` [m], and what it was found from.
+    """`segment_ground` of points (n, 3) of that `grain`, and what it was found from.
 
     What is no higher over the ground than the `noise` [m], shape (n,), that the points had there is no thing: so much
-    can be left of it. The `pitch` is that of the voxels whose centres they are [m], or 0.
+    can be left of it.
     """
-    layers, relief = first_layers(cloud, config, width), LEVEL
+    layers, relief = first_layers(cloud, config, grain.width), LEVEL
     node = nodes_of(layers, cloud)
     if noise is not None:
         relief = _relief_of(layers, node, noise)
-    found = segment_layers(beside(layers), config, relief, (cloud, node), pitch=pitch)
+    found = segment_layers(beside(layers), config, relief, grain, (cloud, node))
     return found.holds(cloud, node), found.lasting()
 
 
@@ -161,9 +176,8 @@ def segment_layers(
     near: Beside,
     config: PerceptionConfig,
     relief: FloatArray,
+    grain: Grain,
     held: tuple[FloatArray, IntArray] | None = None,
-    deviation: float = 0.0,
-    pitch: float = 0.0,
 ) -> Segmentation:
     """Find the ground in layers.
 
@@ -171,23 +185,22 @@ def segment_layers(
         near: Their nodes.
         config: Limits.
         relief: What is no higher is of the ground [m], shape (k,), or (1,) where it is the same everywhere.
-        held: The points (n, 3) [m] that tell the deviation, and the node of each, shape (n,); else it is as given.
-        deviation: Of the points of the ground around it [m].
-        pitch: Of the voxels whose centres the points are [m], or 0.
+        grain: Of the points.
+        held: These (n, 3) [m], and the node of each, shape (n,), which tell the deviation where it is not known.
     """
     ground = find_ground(near, config, relief)
     (smooth,) = near.around("smooth", 1, _smoothed, ground)
-    if held is not None:
+    if held is not None and grain.deviation is None:
         low = np.concatenate(ground) & (near.layers.thickness <= config.max_step)  # a wall's foot tells no scatter
         off = off_ground(*held, low, np.concatenate(smooth))
-        deviation = ROBUST * float(np.median(off)) if len(off) else 0.0
-    least = scatter_of(deviation, relief)
+        grain = grain._replace(deviation=ROBUST * float(np.median(off)) if len(off) else 0.0)
+    least = scatter_of(grain.deviation, relief)
     told = (near.given("scatter", least),) if len(least) > 1 else ()
     extents = partial(_extents, config=config, least=least)
     *ends, under = near.around("extents", 2, extents, ground, smooth, *told)
-    if pitch > 0.0:
-        ends[:] = near.around("rungs", 1, partial(_with_rungs, pitch=pitch), ground, *ends)
-    return Segmentation(near, (*ends, under), deviation, relief, pitch)
+    if grain.pitch > 0.0:
+        ends[:] = near.around("rungs", 1, partial(_with_rungs, pitch=grain.pitch), ground, *ends)
+    return Segmentation(near, (*ends, under), grain._replace(width=near.layers.cell_width), relief)
 
 
 def change_segmentation(
@@ -202,7 +215,7 @@ def change_segmentation(
     found = old
     if layers is not old.layers or relief is not old.relief:
         now = beside_now(old.near, layers, cells)
-        found = segment_layers(now, config, relief, deviation=old.deviation, pitch=old.pitch)
+        found = segment_layers(now, config, relief, old.grain)
         cells |= found.near.unlike(found.extents, old.near, old.extents)
     rows, points = cloud.part(layers, cells)
     ground = before.copy()
@@ -225,9 +238,9 @@ def _relief_now(old: Segmentation, layers: Layers, cloud: Cloud, cells: BoolArra
     return old.relief if np.array_equal(relief, old.relief) else relief
 
 
-def scatter_of(deviation: float, relief: FloatArray) -> FloatArray:
+def scatter_of(deviation: float | None, relief: FloatArray) -> FloatArray:
     """How near to the ground a point of it is [m], where its points have this standard deviation, or relief [m]."""
-    return np.maximum(max(LEAST_SCATTER, in_steps(3.0 * deviation)), relief)
+    return np.maximum(max(LEAST_SCATTER, in_steps(3.0 * (deviation or 0.0))), relief)
 
 
 def _extents(

@@ -7,7 +7,7 @@ import pytest
 
 from gpdf_service.bench.houses import scanned_house
 from gpdf_service.config import PerceptionConfig
-from gpdf_service.perception.segment import segment
+from gpdf_service.perception.segment import Grain, segment
 from gpdf_service.pipeline import build_scene, plan
 from gpdf_service.types import Status
 
@@ -26,7 +26,7 @@ def floor(share, rng, size=80):
 
 
 def found(points):
-    return segment(points, PerceptionConfig(), pitch=PITCH)[0]
+    return segment(points, PerceptionConfig(), Grain(pitch=PITCH))[0]
 
 
 @pytest.mark.parametrize("share", [0.05, 0.3, 0.9])
