@@ -1,4 +1,4 @@
-"""Random changes of many kinds in ray-cast places of all kinds, as all scanners see them: does each equal a build?"""
+"""Random changes of many kinds in ray-cast places of all kinds, and in heaps of planes: does each equal a build?"""
 
 from __future__ import annotations
 
@@ -26,10 +26,13 @@ LOUD = 5.0
 """[-] Noise over the scanner's own, at most."""
 WIDEST = 1.2
 """[m] Half of the side of what a change touches, at most."""
-NEAR = (0.4, 0.35, 0.4)
+SHARES = (0.4, 0.35, 0.4)
 """[-] Shares of the places that are noisier, that have labels, and that have origins."""
 LATE = 0.1
 """[-] Share of a scan that comes by and by."""
+
+ROUGH = (0.0, 0.0, 0.001, 0.01, 0.03, 0.1)
+"""[m] Standard deviations of a heap's points."""
 
 Change = dict[str, Any]
 """Arguments of `Scene.update`, but for labels and origins."""
@@ -37,16 +40,37 @@ Rng = np.random.Generator
 
 
 def wild_rows(count: int, changes: int, seed: int) -> Iterator[Row]:
-    """A row for each of so many places, each changed so often."""
+    """A row for each of so many places, each changed so often; every second one is a heap."""
     for i in range(seed, seed + count):
         rng = np.random.default_rng([i, 7])
         name, scanner = (str(rng.choice(list(kinds))) for kinds in (PLACES, SCANNERS))
-        noisy, labels, origins = (bool(rng.random() < share) for share in NEAR)
-        noise = NOISE[scanner] * (rng.uniform(1.0, LOUD) if noisy else 1.0)
-        scan = SCANNERS[scanner](PLACES[name](rng), rng, noise).thinned(float(rng.choice(THIN)), rng)
-        scan = scan.of(np.sort(rng.permutation(len(scan.points))[:LARGEST]))
+        noisy, labels, origins = (bool(rng.random() < share) for share in SHARES)
+        if i % 2:
+            name, scanner, noise = "heap", "none", float(rng.choice(ROUGH))
+            scan = heap(rng, noise)
+        else:
+            noise = NOISE[scanner] * (rng.uniform(1.0, LOUD) if noisy else 1.0)
+            scan = SCANNERS[scanner](PLACES[name](rng), rng, noise).thinned(float(rng.choice(THIN)), rng)
+            scan = scan.of(np.sort(rng.permutation(len(scan.points))[:LARGEST]))
         row = {"place": name, "seed": i, "scanner": scanner, "points": len(scan.points), "noise_m": noise}
         yield row | {"labels": labels, "origins": origins} | measure_wild(scan, labels, origins, changes, rng)
+
+
+def heap(rng: Rng, noise: float) -> Scan:
+    """A floor, planes that lie anyhow, and a flight, sampled at random, densely or not; its labels are at random."""
+    side = rng.uniform(0.5, 12.0, 2)
+    parts = [rng.random((int(10.0 ** rng.uniform(1.0, 4.3)), 2)) * side @ np.eye(2, 3)]
+    for _ in range(rng.integers(6)):
+        corner, ends = rng.uniform(-3.0, 3.0, 3) * (1.0, 1.0, 0.5), rng.normal(size=(2, 3)) * rng.uniform(0.05, 3.0)
+        parts.append(0.5 * np.append(side, 0.0) + corner + rng.random((int(10.0 ** rng.uniform(0.0, 3.7)), 2)) @ ends)
+    depth, rise, width, count = rng.uniform(0.1, 0.5), rng.uniform(0.05, 0.35), rng.uniform(0.3, 2.0), rng.integers(16)
+    for k in range(count):
+        tread = rng.random((int(10.0 ** rng.uniform(1.0, 3.0)), 3)) * (width, depth, 0.0)
+        parts.append(tread + np.array([0.0, k * depth, (k + 1) * rise]))
+    points = np.concatenate(parts)
+    points += rng.normal(0.0, noise, points.shape)
+    eye = np.broadcast_to(points.mean(axis=0) + np.array([0.0, 0.0, 1.5]), points.shape)
+    return Scan(points, eye, rng.random(len(points)) < rng.random(), np.zeros(len(points), np.int64))
 
 
 def measure_wild(scan: Scan, labels: bool, origins: bool, changes: int, rng: Rng) -> Row:
