@@ -392,7 +392,8 @@ class Scene:
     ) -> Scene:
         """The next version of this scene, after a further scan, or with something taken away; this one stays as it is.
 
-        The Ground GPDFs are solved again only around the ground that changed. Free spaces are built on first use.
+        The Ground GPDFs are solved again only around the ground that changed. Free spaces are built on first use. What
+        moves in this version does so in the next one.
 
         Args:
             insert: Points that are new [m], shape (k, 3).
@@ -408,6 +409,9 @@ class Scene:
             CloudError: points, rows or labels that cannot be used.
             NoGroundError: no ground would be left.
         """
+        if self._standing is not None:
+            then = self._standing.update(insert, remove, ground=ground, origins=origins, thin=thin, progress=progress)
+            return then.with_obstacles(self.moving)
         keep = np.ones(self._cloud.count, dtype=bool)
         try:
             if remove is not None and np.size(remove):

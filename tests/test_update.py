@@ -621,6 +621,19 @@ def test_a_noisy_scene_keeps_the_labels_of_its_strays():
     assert (again.ground == noisy.ground[1:]).all()
 
 
+def test_what_moves_is_still_there_after_a_change(office, blocked):
+    person = np.array([3.5, 1.0, 0.0]) + box((0.0, 0.0, 0.1), (0.3, 0.3, 1.7), 300)
+    changed = office.with_obstacles(person).update(
+        insert=box((2.0, 2.0, 0.02), (2.8, 2.8, 1.0)), ground=np.zeros(6000, bool)
+    )
+    np.testing.assert_array_equal(changed.moving, person)
+    assert changed.version == office.version + 1
+    queries = np.random.default_rng(0).uniform(0.0, 4.0, (500, 2))
+    assert_equal_fields(
+        changed.obstacle_field("human"), blocked.with_obstacles(person).obstacle_field("human"), queries
+    )
+
+
 def test_a_free_space_of_two_versions_ago_is_taken_over(office):
     scene = gpdf.build_scene(office.points, office.ground)
     scene.free_space("human")
