@@ -9,7 +9,7 @@ import numpy as np
 
 from gpdf_service.bench.build_changes import differences, from_scratch
 from gpdf_service.bench.report import Row
-from gpdf_service.errors import NoGroundError
+from gpdf_service.errors import CloudError
 from gpdf_service.pipeline import build_scene
 from gpdf_service.scene import Scene
 from gpdf_service.synthetic.places import PLACES
@@ -30,7 +30,6 @@ SHARES = (0.4, 0.35, 0.4)
 """[-] Shares of the places that are noisier, that have labels, and that have origins."""
 LATE = 0.1
 """[-] Share of a scan that comes by and by."""
-
 ROUGH = (0.0, 0.0, 0.001, 0.01, 0.03, 0.1)
 """[m] Standard deviations of a heap's points."""
 
@@ -83,17 +82,17 @@ def measure_wild(scan: Scan, labels: bool, origins: bool, changes: int, rng: Rng
     first, later = scan.of(~late), scan.of(late)
     row: Row = {"made": 0, "as_a_whole": 0, "refused": 0, "other": ""}
     try:
-        given = first.ground if labels else None, first.origins if origins else None
-        scene = build_scene(first.points, given[0], origins=given[1])
+        ground, eyes = first.ground if labels else None, first.origins if origins else None
+        scene = build_scene(first.points, ground, origins=eyes)
         scene.free_space("human")
-    except NoGroundError:
+    except CloudError:
         return row | {"refused": 1}
     for _ in range(changes):
         kind = list(KINDS)[rng.integers(len(KINDS))]
         change = _with_more(KINDS[kind](scene, later.points, rng), scene, rng)
         try:
             scene = scene.update(**change)
-        except NoGroundError:
+        except CloudError:
             row["refused"] += 1
             continue
         found = differences(scene, from_scratch(scene))
