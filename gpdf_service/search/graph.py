@@ -19,7 +19,7 @@ from gpdf_service.kernel_cache import lean
 from gpdf_service.search.landmarks import NO_LANDMARKS, Landmarks, at_least, bounds_to
 from gpdf_service.search.layered import Rows, below
 from gpdf_service.search.places import Places, is_straight_clear
-from gpdf_service.search.quadtree import Quadtree
+from gpdf_service.search.quadtree import Quadtree, center_of, side_of, touching
 from gpdf_service.search.resplit import Leaves, centers
 from gpdf_service.tiles.nodes import components
 from gpdf_service.types import BoolArray, FloatArray, IntArray
@@ -165,17 +165,17 @@ def change_edges(
     as they were, `same_leaves`, and none of the `places` where obstacles came or went is that near.
     """
     now, was = leaves
-    same, squares = was >= 0, (tree.origin, tree.width, tree.corner, tree.size)
+    same = was >= 0
     if places is not None:
-        _feel(places, squares, tree.free, tree.whole, radius, same)
+        _feel(places, tree, radius, same)
     if same.all():
         return edges
     fresh = ~same
-    looking = np.flatnonzero(tree.free & tree.touching(fresh))
+    looking = np.flatnonzero(tree.free & touching(tree, fresh))
     found = find_edges(tree, obstacles, radius, looking, fresh.__getitem__)
     size = len(edges[0]) + len(found[0])
     made = np.empty((size, 2), np.int64), np.empty((size, 2))  # by NumPy, which asks for large pages
-    used = _merge_edges(now, same, edges, found, squares, made)
+    used = _merge_edges(now, same, edges, found, tree, made)
     return made[0][:used], made[1][:used]
 
 
@@ -186,59 +186,42 @@ SameLeaves = tuple[IntArray, IntArray]
 def same_leaves(old: Quadtree, tree: Quadtree) -> SameLeaves:
     """Which leaves of two trees are the same ones."""
     now, was = np.full(len(old.code), -1), np.full(len(tree.code), -1)
-    if (old.origin == tree.origin).all() and old.side == tree.side:
-        one, other = ((each.code, each.size, each.free, each.whole) for each in (old, tree))
-        _match(one, other, now, was)
+    if (old.origin == tree.origin).all() and side_of(old) == side_of(tree):
+        _match(old, tree, now, was)
     return now, was
 
 
-_Told = tuple[IntArray, IntArray, BoolArray, BoolArray]
-"""Morton code of each leaf of a tree, ascending, its size, and whether it is free, and wholly."""
-
-
 @njit(cache=True, nogil=True)
-def _match(old: _Told, tree: _Told, now: IntArray, was: IntArray) -> None:
+def _match(old: Quadtree, tree: Quadtree, now: IntArray, was: IntArray) -> None:
     """See `same_leaves`: both in turn, by their codes."""
-    (code_was, size_was, free_was, whole_was), (code, size, free, whole), i = old, tree, 0
-    for k in range(len(code)):
-        while i < len(code_was) and code_was[i] < code[k]:
+    i = 0
+    for k in range(len(tree.code)):
+        while i < len(old.code) and old.code[i] < tree.code[k]:
             i += 1
-        if i == len(code_was):
+        if i == len(old.code):
             break
-        alike = code_was[i] == code[k] and size_was[i] == size[k]
-        if alike and free_was[i] == free[k] and whole_was[i] == whole[k]:
+        alike = old.code[i] == tree.code[k] and old.size[i] == tree.size[k]
+        if alike and old.free[i] == tree.free[k] and old.whole[i] == tree.whole[k]:
             now[i], was[k] = k, i
 
 
-Squares = tuple[FloatArray, float, IntArray, IntArray]
-"""Origin, width of the smallest cells, and corner and size of each leaf of a quadtree."""
-
-
-@lean()
-def _center(squares: Squares, leaf: int) -> tuple[float, float]:
-    """Where a leaf's centre is [m]."""
-    origin, width, corner, size = squares
-    x, y = corner[leaf, 0] + 0.5 * size[leaf], corner[leaf, 1] + 0.5 * size[leaf]
-    return origin[0] + x * width, origin[1] + y * width
-
-
 @njit(cache=True, nogil=True)
-def _feel(places: Tree, squares: Squares, free: BoolArray, whole: BoolArray, radius: float, same: BoolArray) -> None:
+def _feel(places: Tree, tree: Quadtree, radius: float, same: BoolArray) -> None:
     """Leaves that are free in part are not the `same` if a place is within the radius of one of theirs, or more."""
     scratch, low, high = make_scratch(), np.empty(2), np.empty(2)
     for k in range(2):
         low[k], high[k] = places.points[:, k].min(), places.points[:, k].max()
     for i in range(len(same)):
-        if whole[i] or not (free[i] and same[i]):
+        if tree.whole[i] or not (tree.free[i] and same[i]):
             continue
-        reach = radius + 1.5 * squares[1] * squares[3][i]  # twice half the diagonal: more than a proof's resolution
-        x, y = _center(squares, i)
+        reach = radius + 1.5 * tree.width * tree.size[i]  # twice half the diagonal: more than a proof's resolution
+        x, y = center_of(tree, i)
         near = low[0] - reach <= x <= high[0] + reach and low[1] - reach <= y <= high[1] + reach
         same[i] = not (near and nearest_at(places, (x, y, 0.0), scratch)[0] <= reach)
 
 
 @njit(cache=True, nogil=True)
-def _merge_edges(now: IntArray, same: BoolArray, old: Edges, fresh: Edges, squares: Squares, made: Edges) -> int:
+def _merge_edges(now: IntArray, same: BoolArray, old: Edges, fresh: Edges, tree: Quadtree, made: Edges) -> int:
     """Write old edges between leaves that are the `same`, and fresh ones, as `find_edges` orders them; how many."""
     (ends, via), used, f = made, 0, 0
     for e in range(len(old[0]) + 1):
@@ -246,8 +229,8 @@ def _merge_edges(now: IntArray, same: BoolArray, old: Edges, fresh: Edges, squar
         a, b = (0, 0) if last else (now[old[0][e, 0]], now[old[0][e, 1]])
         if a < 0 or b < 0 or not (last or (same[a] and same[b])):
             continue
-        rank = (4, 0) if last else (_side(old[1][e], squares, a), a)
-        while f < len(fresh[0]) and (_side(fresh[1][f], squares, fresh[0][f, 0]), fresh[0][f, 0]) < rank:
+        rank = (4, 0) if last else (_side(old[1][e], tree, a), a)
+        while f < len(fresh[0]) and (_side(fresh[1][f], tree, fresh[0][f, 0]), fresh[0][f, 0]) < rank:
             ends[used], via[used] = fresh[0][f], fresh[1][f]
             used, f = used + 1, f + 1
         if not last:
@@ -257,9 +240,9 @@ def _merge_edges(now: IntArray, same: BoolArray, old: Edges, fresh: Edges, squar
 
 
 @njit(cache=True, nogil=True)
-def _side(via: FloatArray, squares: Squares, leaf: int) -> int:
+def _side(via: FloatArray, tree: Quadtree, leaf: int) -> int:
     """Across which side of a leaf an edge goes, as `find_edges` looks at them."""
-    center = _center(squares, leaf)
+    center = center_of(tree, leaf)
     x, y = via[0] - center[0], via[1] - center[1]
     return 2 + int(y > 0.0) if abs(y) > abs(x) else int(x > 0.0)
 

@@ -30,7 +30,7 @@ from gpdf_service.search.graph import (
 from gpdf_service.search.landmarks import find_landmarks
 from gpdf_service.search.moved import around, patched
 from gpdf_service.search.places import Places
-from gpdf_service.search.quadtree import build_quadtree, change_quadtree
+from gpdf_service.search.quadtree import build_quadtree
 from gpdf_service.tiles.surface import HeightMap, turned
 
 
@@ -232,7 +232,7 @@ def test_a_place_that_comes_beside_the_crossing_of_two_leaves_cuts_their_way_tho
             beside = side * np.array([-ahead[1], ahead[0]]) / half
             come = via[row] + beside * (radius - 0.25 * half**2 / radius)
             now = build_tree(np.vstack([places, come]))
-            tree = change_quadtree(old, surface, now, radius, build_tree(come[None]), turned(surface, surface))
+            tree = build_quadtree(surface, now, radius, (old, build_tree(come[None]), turned(surface, surface)))
             found = change_edges(edges, same_leaves(old, tree), tree, Places(now), radius, build_tree(come[None]))
             expected = find_edges(tree, Places(now), radius)
             np.testing.assert_array_equal(found[0], expected[0])
