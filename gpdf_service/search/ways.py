@@ -18,8 +18,8 @@ from numba import njit
 from numba.typed import List
 from numpy.typing import NDArray
 
-from gpdf_service.fields import AnyField, FieldArrays
-from gpdf_service.fields.traversal import NearerArrays, nearest_only
+from gpdf_service.fields import NearerArrays
+from gpdf_service.fields.traversal import nearest_only
 from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.ground import ObstacleKind
 from gpdf_service.kernel_cache import lean
@@ -106,7 +106,7 @@ def beside(space: FreeSpace, level: int, prefer: Prefer = Prefer.COMPANION) -> B
     return Beside(own.places, own.kind, own.surface.arrays, own.noticed, own.steps, own.slopes, *limits)
 
 
-Fields = tuple[AnyField, FieldArrays]
+Fields = tuple[NearerArrays, NearerArrays]
 """d_o, 2D, and d_g, 3D, in compiled form."""
 
 
@@ -144,7 +144,7 @@ def fields_of(space: FreeSpace, level: int, *, exact: bool = False) -> Sequence[
     key = Fields, level, exact
     if key not in space.boxes:
         own = space.levels[level]
-        obstacles = NearerArrays(*map(nearest_only, own.places)) if exact else own.obstacle_field.arrays
+        obstacles = tuple(map(nearest_only, own.places)) if exact else own.obstacle_field.arrays
         space.boxes[key] = boxed((obstacles, own.ground_field.arrays))
     box: Sequence[Fields] = space.boxes[key]
     return box
