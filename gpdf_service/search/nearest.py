@@ -10,7 +10,6 @@ from numba import njit
 
 from gpdf_service.kernel_cache import lean
 from gpdf_service.search.free_space import FreeSpace
-from gpdf_service.search.layered import below
 from gpdf_service.search.quadtree import Quadtree, quarters, side_of
 from gpdf_service.search.resplit import SplitQuadtree
 from gpdf_service.tiles.surface import BLOCK, Cells, height_of
@@ -44,7 +43,7 @@ def nearest_free(space: FreeSpace, place: FloatArray, off: float, component: int
     for level in np.argsort(apart, kind="stable").tolist():  # what is found on the level that is there bounds the rest
         own, ground = space.levels[level], grounds[level]
         tree, first, standing = own.quadtree, own.offset, own.quadtree.standing
-        of = below(space.graph.component)[first : first + len(standing.size)]
+        of = space.graph.standing.component[first : first + len(standing.size)]
         gone = tree.gone if isinstance(tree, SplitQuadtree) else np.zeros(0, np.int64)
         _descend(standing, of, gone, (ground, own.surface.ends), asked, found)
         if isinstance(tree, SplitQuadtree) and len(tree.fresh.size):

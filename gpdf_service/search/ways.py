@@ -27,7 +27,6 @@ from gpdf_service.search.core import Core
 from gpdf_service.search.free_space import NOTICED_STEP, FreeSpace, LevelSpace
 from gpdf_service.search.graph import Edges, Graph, assemble
 from gpdf_service.search.landmarks import find_landmarks
-from gpdf_service.search.layered import below
 from gpdf_service.search.places import Places, nearest_of
 from gpdf_service.search.resplit import FELT
 from gpdf_service.tiles.rows import is_among, rows_among
@@ -336,8 +335,7 @@ def find_ways(able: FreeSpace, level: FreeSpace | None, prefer: Prefer, stand: W
     seconds[dear] = _seconds(able, (position, on, room, unseen), asked, prefer) + through
     graph = assemble(position, on, edges, seconds)
     if stand is None:
-        landmarks = find_landmarks(graph.first, below(graph.other), below(graph.cost), below(graph.component))
-        graph = replace(graph, landmarks=landmarks)
+        graph = graph._replace(landmarks=find_landmarks(graph.first, graph.other, graph.cost, graph.component))
     priced = Priced(node, leaf, room, unseen, edge, seconds)
     return Ways(spaces, prefer, graph, float(prices(able.agent, prefer)[LENGTH]), priced)
 
@@ -373,10 +371,10 @@ def _keys(numbers: Sequence[IntArray]) -> IntArray:
 
 def _edges_of(core: Core, first: int) -> tuple[IntArray, IntArray, FloatArray]:
     """Each edge of a core once: its number, its ends as nodes from the `first` on, and where it crosses."""
-    row, other = np.repeat(np.arange(len(core.node)), np.diff(core.graph.first)), below(core.graph.other)
+    row, other = np.repeat(np.arange(len(core.node)), np.diff(core.graph.first)), core.graph.other
     once = np.flatnonzero(row < other)
     pairs = first + np.column_stack([row[once], other[once]])
-    return core.edge[once], pairs, below(core.graph.via).take(once, axis=0)
+    return core.edge[once], pairs, core.graph.via.take(once, axis=0)
 
 
 def _on_levels(space: FreeSpace, level: IntArray) -> Iterator[tuple[LevelSpace, IntArray]]:
@@ -387,7 +385,7 @@ def _on_levels(space: FreeSpace, level: IntArray) -> Iterator[tuple[LevelSpace, 
 def _of_leaves(space: FreeSpace, name: str, rows: IntArray) -> FloatArray:
     """A measure of the leaves of some nodes of a space's core, shape (k,)."""
     node, made = space.core.node[rows], np.empty(len(rows))
-    for own, here in _on_levels(space, below(space.core.graph.level)[rows]):
+    for own, here in _on_levels(space, space.core.graph.level[rows]):
         made[here] = getattr(own.quadtree, name)[node[here] - own.offset]
     return made
 
