@@ -13,7 +13,6 @@ from gpdf_service.ground import GroundLevel
 from gpdf_service.kernel_cache import load_kept
 from gpdf_service.pipeline import build_scene
 from gpdf_service.scene import Scene, assemble_scene
-from gpdf_service.search.layered import below
 from gpdf_service.types import FloatArray
 
 SIDE = 1.0
@@ -114,7 +113,7 @@ def differences(one: Scene, other: Scene) -> list[str]:
             np.array_equal(getattr(first, key), getattr(second, key)) for key in ("corner", "size", "free", "whole")
         )
         found += [] if all(leaves) else ["leaves"]
-    ends = [below(space.graph.other) for space in spaces]
+    ends = [space.graph.standing.other for space in spaces]
     found += [] if np.array_equal(ends[0], ends[1]) else ["graph"]
     return found
 

@@ -10,8 +10,7 @@ from gpdf_service.fields.gpdf import fit_gpdf as fit_gpdf
 from gpdf_service.fields.order import morton as morton
 from gpdf_service.fields.spacing import estimate_spacing as estimate_spacing
 from gpdf_service.fields.spacing import thin as thin
-from gpdf_service.fields.traversal import AnyField as AnyField
-from gpdf_service.fields.traversal import FieldArrays as FieldArrays
+from gpdf_service.fields.traversal import NearerArrays as NearerArrays
 from gpdf_service.fields.traversal import sample_at as sample_at
 from gpdf_service.fields.tree import Tree as Tree
 from gpdf_service.fields.tree import build_tree as build_tree

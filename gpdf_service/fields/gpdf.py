@@ -102,10 +102,10 @@ class Gpdf:
         return self.tree.points
 
     @property
-    def arrays(self) -> FieldArrays:
+    def arrays(self) -> NearerArrays:
         """What a compiled loop needs for `traversal.sample_at`."""
         tree = self.tree
-        return FieldArrays(tree.begin, tree.blocks, tree.boxes, self._weights, self.discs, self.length_scale)
+        return (FieldArrays(tree.begin, tree.blocks, tree.boxes, self._weights, self.discs, self.length_scale),)
 
     @property
     def nbytes(self) -> int:
@@ -132,7 +132,7 @@ class Gpdf:
         count = len(asked)
         distance, deviation, gradient = np.empty(count), np.empty(count), np.empty_like(asked)
         order, made = spatial_order(asked), (distance, gradient, deviation)
-        field, off = self.arrays, self._off_surface()
+        (field,), off = self.arrays, self._off_surface()
         run_chunked(lambda a, b: sample_range(field, asked, order[a:b], off, made), count)
         valid = finite & self.domain.contains(asked) & np.isfinite(deviation)
         distance[~valid], gradient[~valid], deviation[~valid] = 0.0, 0.0, np.inf
@@ -305,7 +305,7 @@ def _check_extent(data: FloatArray, spacing: float) -> None:
         raise FieldError("fit", found, "Take out what is far from everything else.")
 
 
-_NOTHING = nearest_only(NO_POINTS)
+_NOTHING = (nearest_only(NO_POINTS),)
 """A field of no points, in compiled form."""
 
 
@@ -322,7 +322,7 @@ class Nearer:
     @property
     def arrays(self) -> NearerArrays:
         """What a compiled loop needs for `traversal.sample_at`."""
-        return NearerArrays(self.standing.arrays, _NOTHING if self.moving is None else self.moving.arrays)
+        return self.standing.arrays + (_NOTHING if self.moving is None else self.moving.arrays)
 
     def query(self, queries: ArrayLike) -> FieldSample:
         """Distance, gradient, validity and standard deviation of the nearer one: see `Gpdf.query`."""

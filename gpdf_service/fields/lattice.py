@@ -141,15 +141,14 @@ def fit_lattice(lattice: Lattice, domain: Domain, former: tuple[Gpdf, Lattice] |
                 discs[own] = former[0].discs[old]
     if not all(run_parallel(solve, np.flatnonzero(source < 0).tolist())):
         raise FieldError("fit", "the solve did not converge", "Raise fields.noise_variance.")
-    tree = _tree_of(points, rows, former and (former[0].tree, before, source))
-    return _field(lattice, tree, rows, alpha, discs, domain)
+    return _field(lattice, points, rows, alpha, discs, domain)
 
 
 def restore_lattice(lattice: Lattice, alpha: FloatArray, domain: Domain) -> Gpdf:
     """The field over a lattice whose α, shape (n,), is known; its discs are told on first use."""
     rows = _rows_of(lattice)
     points = np.concatenate([_points_at(lattice, _cells_of(lattice, tile)) for tile in rows.tile])
-    return _field(lattice, _tree_of(points, rows), rows, alpha, None, domain)
+    return _field(lattice, points, rows, alpha, None, domain)
 
 
 def _discs_of(lattice: Lattice, rows: _Rows) -> FloatArray:
@@ -169,11 +168,11 @@ def _ball_of(lattice: Lattice) -> IntArray:
 
 
 def _field(
-    lattice: Lattice, tree: Tree, rows: _Rows, alpha: FloatArray, discs: FloatArray | None, domain: Domain
+    lattice: Lattice, points: FloatArray, rows: _Rows, alpha: FloatArray, discs: FloatArray | None, domain: Domain
 ) -> Gpdf:
     told = partial(_discs_of, lattice, rows) if discs is None else discs
     own = lattice.length_scale, lattice.noise_variance, lattice.spacing
-    return Gpdf(tree, alpha, told, np.broadcast_to(0.0, len(alpha)), own, domain)
+    return Gpdf(_tree_of(points, rows), alpha, told, np.broadcast_to(0.0, len(alpha)), own, domain)
 
 
 def _sources(lattice: Lattice, rows: _Rows, reach: int, former: tuple[Gpdf, Lattice] | None) -> tuple[IntArray, _Rows]:
@@ -217,25 +216,12 @@ def _taken_over(rows: _Rows, before: _Rows, source: IntArray) -> list[tuple[slic
     return [(slice(*rows.first[[a, b]].tolist()), slice(*before.first[[c, d]].tolist())) for a, b, c, d in ends]
 
 
-def _tree_of(points: FloatArray, rows: _Rows, former: tuple[Tree, _Rows, IntArray] | None = None) -> Tree:
-    """The tree over the points as they lie; each tile begins a leaf.
-
-    Leaves of a tile with a source in a `former` tree, over such rows, are those of that tile.
-    """
+def _tree_of(points: FloatArray, rows: _Rows) -> Tree:
+    """The tree over the points as they lie; each tile begins a leaf."""
     leaves = -(-np.diff(rows.first) // LEAF_SIZE)
     rank = np.arange(leaves.sum()) - np.repeat(np.cumsum(leaves) - leaves, leaves)
     begin = np.append(np.repeat(rows.first[:-1], leaves) + LEAF_SIZE * rank, rows.first[-1])
-    order = np.arange(len(points))
-    if former is None:
-        return tree_of(points, order, begin)
-    tree, before, source = former
-    first = np.concatenate([[0], np.cumsum(-(-np.diff(before.first) // LEAF_SIZE))])
-    return tree_of(
-        points,
-        order,
-        begin,
-        (tree, np.where(np.repeat(source, leaves) < 0, -1, np.repeat(first[source], leaves) + rank)),
-    )
+    return tree_of(points, np.arange(len(points)), begin)
 
 
 def _cells_of(lattice: Lattice, tile: IntArray) -> IntArray:

@@ -12,13 +12,11 @@ arrays counted here, as none is made or kept (`lean`): from call to call that to
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import isfinite, log, sqrt
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numba.extending import overload
 
 from gpdf_service.fields.tree import (
     FANOUT,
@@ -232,59 +230,29 @@ def from_disc(discs: FloatArray, row: int, off: Place) -> Place:
     return high * n0 + rest * s0, high * n1 + rest * s1, high * n2 + rest * s2
 
 
-class NearerArrays(NamedTuple):
-    """Two fields in one, what stands and what moves: the nearer one answers. Either may be without points."""
-
-    standing: FieldArrays
-    moving: FieldArrays
-
-
-AnyField = FieldArrays | NearerArrays
-"""What `sample_at` may ask."""
+NearerArrays = tuple[FieldArrays, ...]
+"""Fields in one, what stands and what moves, or a single one: the nearer one answers. One may be without points."""
 
 
 @lean()
-def sample_at(field: AnyField, x: Place, scratch: Scratch, gradient: FloatArray, enough: float = np.inf) -> float:
+def sample_at(fields: NearerArrays, x: Place, scratch: Scratch, gradient: FloatArray, enough: float = np.inf) -> float:
     """Distance at one place [m]; writes the gradient, shape (dim,). Of `enough` room less is told: see `sample`."""
-    distance, slope = _ask(field, x, scratch, enough)
+    least, slope, asked = 0.0, (0.0, 0.0, 0.0), False
+    for field in fields:
+        if len(field.begin) >= 2:
+            distance, _, _, own = sample(field, x, scratch, enough)
+            if not asked or distance < least:
+                least, slope, asked = distance, own, True
     for k in range(len(gradient)):
         gradient[k] = slope[k]
-    return float(distance)
+    return float(least)
 
 
 @lean()
-def bracket_at(field: FieldArrays, x: Place, scratch: Scratch) -> tuple[float, float]:
-    """Between what `sample_at` is at a place [m], in a third of its time; 0 and inf at what is no place."""
-    _, _, floor2, least2, _ = bracket(field, x, scratch)
+def bracket_at(fields: NearerArrays, x: Place, scratch: Scratch) -> tuple[float, float]:
+    """Between what `sample_at` of a single field is at a place [m], in a third of its time; 0 and inf at no place."""
+    _, _, floor2, least2, _ = bracket(fields[0], x, scratch)
     return sqrt(floor2), sqrt(least2)
-
-
-@lean()
-def _ask_one(field: FieldArrays, x: Place, scratch: Scratch, enough: float) -> tuple[float, Place]:
-    distance, _, _, slope = sample(field, x, scratch, enough)
-    return distance, slope
-
-
-def _ask(field: AnyField, x: Place, scratch: Scratch, enough: float) -> tuple[float, Place]:
-    """Distance and gradient at one place, of whichever kind of field: compiled for it."""
-    raise NotImplementedError("only compiled loops ask")
-
-
-@overload(_ask, strict=False, jit_options={"_nrt": False})  # type: ignore[typeddict-unknown-key]
-def _ask_of(field: Any, x: Any, scratch: Any, enough: Any) -> Callable[..., tuple[float, Place]]:  # noqa: ANN401 - types of Numba
-    if field.instance_class is FieldArrays:
-        return lambda field, x, scratch, enough: _ask_one(field, x, scratch, enough)
-
-    def nearer(field: NearerArrays, x: Place, scratch: Scratch, enough: float) -> tuple[float, Place]:
-        if len(field.moving.begin) < 2:
-            return _ask_one(field.standing, x, scratch, enough)
-        if len(field.standing.begin) < 2:
-            return _ask_one(field.moving, x, scratch, enough)
-        stands = _ask_one(field.standing, x, scratch, enough)
-        moves = _ask_one(field.moving, x, scratch, enough)
-        return stands if stands[0] <= moves[0] else moves
-
-    return nearer
 
 
 @njit(cache=True, nogil=True)

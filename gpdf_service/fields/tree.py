@@ -89,19 +89,14 @@ def build_tree(points: FloatArray) -> Tree:
     return tree_of(points[order], order, np.minimum(LEAF_SIZE * np.arange(leaves + 1), len(points)))
 
 
-def tree_of(points: FloatArray, order: IntArray, begin: IntArray, former: tuple[Tree, IntArray] | None = None) -> Tree:
-    """The tree over `points`, shape (n, dim), that are in its order already and cut into leaves at `begin`.
-
-    Leaves that hold what they held in a `former` tree are copied from there: of each its number there, −1 of others.
-    """
+def tree_of(points: FloatArray, order: IntArray, begin: IntArray) -> Tree:
+    """The tree over `points`, shape (n, dim), that are in its order already and cut into leaves at `begin`."""
     leaves = len(begin) - 1
     nodes = (_room(LEAF_SIZE * leaves) * FANOUT // LEAF_SIZE - 1) // (FANOUT - 1)
     blocks, boxes = np.empty((leaves, 3, LEAF_SIZE)), np.empty((nodes, 6, FANOUT))
     boxes[:, :3], boxes[:, 3:] = np.inf, -np.inf
-    if former is None and leaves:  # a module makes one without points: it need not load the kernel
-        _fill(points, begin, np.full(leaves, -1), (blocks, boxes), blocks, boxes)
-    elif former is not None:
-        _fill(points, begin, former[1], (former[0].blocks, former[0].boxes), blocks, boxes)
+    if leaves:  # a module makes one without points: it need not load the kernel
+        _fill(points, begin, blocks, boxes)
     return Tree(points, order, begin, blocks, boxes)
 
 
@@ -124,16 +119,14 @@ def change_tree(tree: Tree, keep: BoolArray, added: FloatArray) -> tuple[Tree, I
     """
     source, begin = np.flatnonzero(keep), np.append(0, np.cumsum(keep))[tree.begin]
     points = tree.points.take(source, axis=0)
-    same = np.where(np.diff(begin) == np.diff(tree.begin), np.arange(len(begin) - 1), -1)
     if len(added):
         fresh = build_tree(added)
         points, source = np.concatenate([points, fresh.points]), np.concatenate([source, -1 - fresh.order])
         begin = np.concatenate([begin, begin[-1] + fresh.begin[1:]])
-        same = np.concatenate([same, np.full(len(fresh.begin) - 1, -1)])
     if (len(begin) - 2) * LEAF_SIZE > 2 * len(points):
         built = build_tree(points)
         return built, source[built.order]
-    return tree_of(points, np.arange(len(points)), begin, (tree, same)), source
+    return tree_of(points, np.arange(len(points)), begin), source
 
 
 @njit(cache=True, nogil=True)
@@ -191,31 +184,20 @@ def _select(along: FloatArray, order: IntArray, axis: int, left: int, right: int
 
 
 @njit(cache=True, nogil=True)
-def _fill(
-    points: FloatArray,
-    begin: IntArray,
-    source: IntArray,
-    former: tuple[FloatArray, FloatArray],
-    blocks: FloatArray,
-    boxes: FloatArray,
-) -> None:
-    """The blocks of the leaves, and all boxes; blocks and boxes of a leaf with a `source` are those of a former one."""
-    nodes, before = boxes.shape[0], former[1].shape[0]
+def _fill(points: FloatArray, begin: IntArray, blocks: FloatArray, boxes: FloatArray) -> None:
+    """The blocks of the leaves, and all boxes."""
+    nodes, dim = boxes.shape[0], points.shape[1]
     for leaf in range(blocks.shape[0]):
         node, child = (nodes + leaf - 1) // FANOUT, (nodes + leaf - 1) % FANOUT
-        was, count = source[leaf], begin[leaf + 1] - begin[leaf]
-        if was >= 0:
-            parent, number = (before + was - 1) // FANOUT, (before + was - 1) % FANOUT
-            blocks[leaf] = former[0][was]
-            for k in range(6):
-                boxes[node, k, child] = former[1][parent, k, number]
-            continue
+        first, count = begin[leaf], begin[leaf + 1] - begin[leaf]
         for k in range(3):
+            low, high = np.inf, -np.inf
             for j in range(LEAF_SIZE):
-                here = count > 0 and k < points.shape[1]
-                blocks[leaf, k, j] = points[begin[leaf] + min(j, count - 1), k] if here else 0.0
-            boxes[node, k, child] = blocks[leaf, k].min() if count > 0 else np.inf
-            boxes[node, 3 + k, child] = blocks[leaf, k].max() if count > 0 else -np.inf
+                value = points[first + min(j, count - 1), k] if count > 0 and k < dim else 0.0
+                blocks[leaf, k, j] = value
+                low, high = lesser(value, low), larger(value, high)
+            boxes[node, k, child] = low if count > 0 else np.inf
+            boxes[node, 3 + k, child] = high if count > 0 else -np.inf
     for node in range(nodes - 1, 0, -1):
         parent, child = (node - 1) // FANOUT, (node - 1) % FANOUT
         for k in range(3):

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.fields import FieldArrays, sample_at
+from gpdf_service.fields import NearerArrays, sample_at
 from gpdf_service.fields.traversal import bracket_at
 from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.ground.footing import ROUGH, crosses_flight
@@ -150,7 +150,7 @@ def _look_along(
     ground: Cells,
     steps: FloatArray,
     slopes: FloatArray,
-    field: FieldArrays,
+    field: NearerArrays,
     scratch: Scratch,
     along: FloatArray,
     off_at: FloatArray,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.fields import AnyField, FieldArrays
+from gpdf_service.fields import NearerArrays
 from gpdf_service.fields.traversal import sample_at
 from gpdf_service.fields.tree import Place, Scratch, make_scratch
 from gpdf_service.kernel_cache import lean
@@ -31,8 +31,8 @@ class Discs(NamedTuple):
 class Task(NamedTuple):
     """What the costs are of; see `chomp.optimize`; and the waypoints' `spacing` [m]."""
 
-    obstacles: AnyField
-    ground: FieldArrays
+    obstacles: NearerArrays
+    ground: NearerArrays
     discs: Discs
     height: float
     epsilon: float
@@ -65,7 +65,7 @@ def make_memo(count: int) -> Memo:
 
 
 @lean()
-def recall(field: AnyField, x: Place, memo: Memo, i: int, enough: float, off: float = OFF) -> float:
+def recall(field: NearerArrays, x: Place, memo: Memo, i: int, enough: float, off: float = OFF) -> float:
     """Distance at x, the i-th place that is remembered, to `off`, and its gradient in `memo.slope[i]`.
 
     Distances are 1-Lipschitz: where the one from before says that there is `enough`, it is inf, and has no gradient.
@@ -96,7 +96,7 @@ def _told(
 
 
 @lean()
-def _ask(field: AnyField, x: Place, memo: Memo, i: int, enough: float) -> float:
+def _ask(field: NearerArrays, x: Place, memo: Memo, i: int, enough: float) -> float:
     """Distance at x, which is remembered, and its gradient; inf where a bound, which has none, tells of `enough`."""
     for k in range(3):
         memo.place[i, k] = x[k]

@@ -18,7 +18,6 @@ from gpdf_service.planning.routes import Leg, Route, Wish, find_cheapest, over_c
 from gpdf_service.planning.shape import is_straight, resample, subdivide
 from gpdf_service.search.free_space import NOTICED_STEP, FreeSpace
 from gpdf_service.search.graph import Graph
-from gpdf_service.search.layered import below
 from gpdf_service.search.ways import Prefer, Ways, prices
 from gpdf_service.types import FloatArray, IntArray
 
@@ -57,7 +56,7 @@ def find_rival(space: FreeSpace, ends: Ends, wish: Wish, best: Route) -> Route |
     if best.length <= DETOUR * hypot(*(goal.xy - ends.start.xy).tolist()) or wish.left() <= 0.0:
         return None
     price, width = prices(space.agent, wish.prefer), 2.0 * space.agent.disc_radius
-    core = replace(space.core, graph=avoiding(space.core.graph, best.legs, width))
+    core = space.core._replace(graph=avoiding(space.core.graph, best.legs, width))
     legs, takes, _ = over_core(space, core, ends.start, goal, wish.prefer)
     cost = float(takes @ price)
     if cost > RIVAL * best.cost or not _are_apart(legs, best.legs, 0.5 * width):
@@ -73,8 +72,8 @@ def avoiding(graph: Graph, legs: list[Leg], width: float, half_size: FloatArray 
     far = np.full(len(graph.position), width) + (0.0 if half_size is None else half_size)
     dearer = np.ones(len(far))
     for leg in legs:
-        _mark(below(graph.position), below(graph.level), far, leg.level, _plan(leg.path), dearer)
-    return replace(graph, cost=_dearer(graph.first, below(graph.other), below(graph.cost), dearer))
+        _mark(graph.position, graph.level, far, leg.level, _plan(leg.path), dearer)
+    return graph._replace(cost=_dearer(graph.first, graph.other, graph.cost, dearer))
 
 
 @njit(cache=True, nogil=True)

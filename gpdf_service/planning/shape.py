@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.fields import FieldArrays
+from gpdf_service.fields import NearerArrays
 from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.kernel_cache import lean
 from gpdf_service.planning.costs import Memo, make_memo, recall
@@ -289,7 +289,7 @@ def spline(path: FloatArray, spacing: float) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def stand_on(
-    xy: FloatArray, ground: Cells, ends: NDArray[np.float32], field: FieldArrays, height: float
+    xy: FloatArray, ground: Cells, ends: NDArray[np.float32], field: NearerArrays, height: float
 ) -> tuple[FloatArray, FloatArray]:
     """Contact points and the body's top over them, both (n, 3).
 
@@ -326,7 +326,7 @@ def is_level(path: FloatArray, ground: Cells, ends: NDArray[np.float32], height:
 
 @lean()
 def _lift_all(
-    xy: FloatArray, ground: Cells, field: FieldArrays, height: float, memo: Memo, contact: FloatArray, top: FloatArray
+    xy: FloatArray, ground: Cells, field: NearerArrays, height: float, memo: Memo, contact: FloatArray, top: FloatArray
 ) -> None:
     """Write contact points and tops; each top starts from what the one before it was lifted by."""
     least, most, stands = -_UPRIGHT_SHARE * height, _UPRIGHT_SHARE * height, _STANDS * height
@@ -359,7 +359,7 @@ def _lift(
     foot: int,
     away: int,
     rise: float,
-    field: FieldArrays,
+    field: NearerArrays,
     height: float,
     memo: Memo,
 ) -> None:

@@ -24,7 +24,7 @@ from gpdf_service.search.free_space import (
 )
 from gpdf_service.search.graph import Edges, SameLeaves, change_edges, same_leaves
 from gpdf_service.search.places import Places
-from gpdf_service.search.quadtree import Quadtree, change_quadtree
+from gpdf_service.search.quadtree import Quadtree, build_quadtree
 from gpdf_service.tiles.boxes import span, widened, window
 from gpdf_service.tiles.rows import hashed, more_now, rows_by_cell, rows_in_cells, rows_spliced, taken
 from gpdf_service.tiles.surface import cropped, first_cell, spread, turned
@@ -71,7 +71,7 @@ def _change_level(
 
     def leaves_and_edges() -> tuple[Quadtree, SameLeaves, Edges]:
         around = build_tree(places) if len(places) else None
-        quadtree = change_quadtree(leaves, surface, tree, radius, around, turning)
+        quadtree = build_quadtree(surface, tree, radius, (leaves, around, turning))
         same = same_leaves(leaves, quadtree)
         return quadtree, same, change_edges(was.edges, same, quadtree, Places(tree), radius, around)
 

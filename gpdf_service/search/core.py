@@ -8,16 +8,14 @@ stays joined. From a leaf that was left out an edge leads up to another one, and
 from __future__ import annotations
 
 import heapq
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from gpdf_service.kernel_cache import lean
-from gpdf_service.search.graph import Graph, Net, Question, astar, edges_of, far_end
-from gpdf_service.search.landmarks import Landmarks
-from gpdf_service.search.layered import Layered, above, below
+from gpdf_service.search.graph import Doors, Graph, Net, PatchedGraph, Question, astar, edges_of, far_end, net_of
+from gpdf_service.search.layered import Layered
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 NARROW = 0.1
@@ -26,8 +24,49 @@ _MOST_NEIGHBOURS = 64
 """A leaf with more stays."""
 
 
-@dataclass(frozen=True, slots=True)
-class Core:
+class Links(NamedTuple):
+    """A graph of leaves, as far as it tells which ones ways need.
+
+    Attributes:
+        net: Where its edges lead.
+        clearance: From the centre of a node that stands to the nearest obstacle [m].
+        added: The same of each of those that were added [m], and where it comes among those that stand, by their
+            numbers: equal ones take turns by that; shape (m, 2).
+        narrow: Whether a node is free and narrow, shape (n,).
+    """
+
+    net: Net
+    clearance: FloatArray
+    added: FloatArray
+    narrow: BoolArray
+
+    @property
+    def room(self) -> Layered:
+        """From the centre of each node to the nearest obstacle [m], shape (n,)."""
+        return Layered(self.clearance, self.added[:, 0])
+
+
+_Turn = tuple[float, float, int]
+"""Of a node: its clearance, its place among the others, its number."""
+
+
+@lean()
+def _turn(links: Links, node: int) -> _Turn:
+    """When a node is decided on: those nearest to obstacles come first."""
+    count = len(links.clearance)
+    if node < count:
+        return links.clearance[node], float(node), node
+    return links.added[node - count, 0], links.added[node - count, 1], node
+
+
+class Decided(NamedTuple):
+    """Whether each node stays, and the edge that leads up from it, −1 if it stays, shapes (n,)."""
+
+    stays: BoolArray
+    up: IntArray
+
+
+class Core(NamedTuple):
     """What is left of a graph.
 
     Attributes:
@@ -51,69 +90,25 @@ class Core:
         return made
 
 
-class Links(NamedTuple):
-    """A graph of leaves, as far as it tells which ones ways need.
-
-    Attributes:
-        net: Where its edges lead.
-        clearance: From the centre of a node that stands to the nearest obstacle [m].
-        added: The same of each of those that were added [m], and where it comes among those that stand, by their
-            numbers: equal ones take turns by that; shape (m, 2).
-        narrow: Whether a node is free and narrow, shape (n,).
-    """
-
-    net: Net
-    clearance: FloatArray
-    added: FloatArray
-    narrow: BoolArray
-
-    @property
-    def room(self) -> Layered:
-        """From the centre of each node to the nearest obstacle [m], shape (n,)."""
-        return Layered(self.clearance, self.added[:, 0], len(self.clearance))
-
-
-_Turn = tuple[float, float, int]
-"""Of a node: its clearance, its place among the others, its number."""
-
-
-@lean()
-def _turn(links: Links, node: int) -> _Turn:
-    """When a node is decided on: those nearest to obstacles come first."""
-    count = len(links.clearance)
-    if node < count:
-        return links.clearance[node], float(node), node
-    return links.added[node - count, 0], links.added[node - count, 1], node
-
-
-class Decided(NamedTuple):
-    """Whether each node stays, and the edge that leads up from it, −1 if it stays, shapes (n,)."""
-
-    stays: BoolArray
-    up: IntArray
-
-
 Former = tuple[Core, IntArray]
 """The core of the version before, and the node then of each node now, −1 of a new one."""
 
 
-def links_of(graph: Graph, free: BoolArray, width: FloatArray, clearance: FloatArray) -> Links:
-    """The links of a graph of leaves that are so wide [m]; all of shape (n,)."""
-    return Links(graph.net, clearance, np.zeros((0, 2)), free & (width < NARROW))
-
-
-def find_core(graph: Graph, free: BoolArray, links: Links, former: Former | None = None) -> Core:
-    """What ways need of a graph of leaves that are `free`, (n,).
+def find_core(
+    graph: Graph, free: BoolArray, width: FloatArray, clearance: FloatArray, former: Former | None = None
+) -> Core:
+    """What ways need of a graph of leaves that are `free`, so wide [m], and so far from obstacles [m]; all (n,).
 
     Of a `former` version only what differs from it, and what that decides on, is decided again.
     """
+    links = Links(net_of(graph), clearance, np.zeros((0, 2)), free & (width < NARROW))
     made, asked = Decided(free.copy(), np.full(len(free), -1, np.int32)), links.narrow
     if former is not None:
         asked = _carry(links, former[0].links, former[1], former[0].decided, made)
     return _decide(graph, links, made, np.flatnonzero(asked))
 
 
-def patch_core(core: Core, graph: Graph, gone: IntArray, added: FloatArray, width: FloatArray) -> Core:
+def patch_core(core: Core, graph: PatchedGraph, gone: IntArray, added: FloatArray, width: FloatArray) -> Core:
     """The core of a graph with a patch: only what is in that, and what it decides on, is decided again.
 
     The `core` is that of what stands, of which nodes are `gone`; leaves so wide [m], (m,), were `added`, (m, 2): see
@@ -122,13 +117,13 @@ def patch_core(core: Core, graph: Graph, gone: IntArray, added: FloatArray, widt
     was, (stays, up) = core.links, core.decided
     made = Decided(np.append(stays, np.ones(len(added), dtype=bool)), np.append(up, np.full(len(added), -1, np.int32)))
     made.stays[gone] = False
-    links = was._replace(net=graph.net, added=added, narrow=np.append(was.narrow, width < NARROW))
+    links = was._replace(net=net_of(graph), added=added, narrow=np.append(was.narrow, width < NARROW))
     asked = np.zeros(len(links.narrow), dtype=bool)
     _ask_near(links, graph.patch.node, asked)
     return _decide(graph, links, made, np.flatnonzero(asked))
 
 
-def _decide(graph: Graph, links: Links, made: Decided, asked: IntArray) -> Core:
+def _decide(graph: Graph | PatchedGraph, links: Links, made: Decided, asked: IntArray) -> Core:
     """Decide on the nodes that are `asked`, ascending, and write what is `made` of them."""
     count = len(links.clearance)
     place = np.append(asked[asked < count], links.added[asked[asked >= count] - count, 1])
@@ -167,7 +162,7 @@ def _left(net: Net, stays: BoolArray, node: IntArray) -> tuple[IntArray, IntArra
 def _carry(now: Links, was: Links, source: IntArray, known: Decided, made: Decided) -> BoolArray:
     """Take over what was `known`; which nodes are to be decided on again: narrow ones within two edges of another."""
     asked, other = np.zeros(len(source), np.bool_), np.zeros(len(source), np.bool_)
-    (first, far, _), (first_was, far_was, _) = now.net, was.net
+    first, far, first_was, far_was = now.net.first, now.net.other, was.net.first, was.net.other
     for node in range(len(source)):
         old, begin, count = source[node], first[node], first[node + 1] - first[node]
         same = old >= 0 and now.narrow[node] == was.narrow[old] and now.clearance[node] == was.clearance[old]
@@ -275,7 +270,7 @@ def _has_edge(links: Links, node: int, to: int) -> bool:
     return False
 
 
-def climb(graph: Graph, core: Core, node: int) -> tuple[IntArray, IntArray]:
+def climb(graph: Graph | PatchedGraph, core: Core, node: int) -> tuple[IntArray, IntArray]:
     """From a node up to the core: the nodes (k + 1,) and the edges between them (k,) of the whole graph."""
     nodes, edges = [node], []
     while core.decided.up[nodes[-1]] >= 0:
@@ -301,26 +296,18 @@ def _tops_of(net: Net, up: IntArray, nodes: IntArray) -> IntArray:
 
 
 class Search(NamedTuple):
-    """What `find_nodes` asks of a graph and its core, in compiled form; and places and levels of the graph's nodes.
+    """What `find_nodes` asks of a graph: its core; crossings, places and levels that stand, and those of the patch."""
 
-    Of crossings, places and levels it has those that stand, and those of the patch.
-    """
-
-    links: Links
-    up: IntArray
-    kept: tuple[IntArray, IntArray]
-    left: tuple[FloatArray, Net, FloatArray, Landmarks]
+    core: Core
     via: _Both
     place: _Both
     level: tuple[IntArray, IntArray]
 
 
-def search_in(graph: Graph, core: Core) -> Search:
+def search_in(graph: Graph | PatchedGraph, core: Core) -> Search:
     """A graph and its core as they are searched."""
-    left = core.graph
-    asked = below(left.position), left.net, below(left.cost), left.landmarks
-    both = ((below(rows), above(rows)) for rows in (graph.via, graph.position, graph.level))
-    return Search(core.links, core.decided.up, (core.node, core.edge), asked, *both)
+    stands, more = graph.standing, graph.patch
+    return Search(core, (stands.via, more.via), (stands.position, more.position), (stands.level, more.level))
 
 
 @njit(cache=True, nogil=True)
@@ -329,22 +316,20 @@ def find_nodes(search: Search, start: int, goal: int) -> tuple[IntArray, FloatAr
 
     It is the cheapest one, but for narrow leaves that were left out: up to the core, over what is left, and down again.
     """
-    links, up, (node, edge), left, via, _, _ = search
-    position, over, cost, landmarks = left
+    core, via = search.core, search.via
+    links, left, up = core.links, core.graph, core.decided.up
     of, standing = (start, goal), len(links.net.other)
     ends, height, free = np.empty(2, np.int64), np.zeros(2, np.int64), np.zeros(1)
     for k, at in enumerate(of):
         while up[at] >= 0:
             at, height[k] = far_end(links.net, up[at]), height[k] + 1
-        ends[k] = np.searchsorted(node, at)
-    place = position[ends[1]]
-    question = Question(position, over, cost, landmarks, 1.0, ends[:1], free, ends[1:], free, place)
-    across = astar(question, len(position))[1]
+        ends[k] = np.searchsorted(core.node, at)
+    across = astar(Question(left, Doors(ends[:1], free), Doors(ends[1:], free), left.position[ends[1]], 1.0))[1]
     count = height[0] + len(across) + height[1]
     nodes, edges = np.empty(count + 1, np.int64), np.empty(count, np.int64)
     nodes[0], nodes[count] = of
     for k in range(height[0] + len(across)):
-        edges[k] = up[nodes[k]] if k < height[0] else edge[across[k - height[0]]]
+        edges[k] = up[nodes[k]] if k < height[0] else core.edge[across[k - height[0]]]
         nodes[k + 1] = far_end(links.net, edges[k])
     for k in range(count - 1, count - 1 - height[1], -1):
         edges[k] = up[nodes[k + 1]]

@@ -14,8 +14,8 @@ from gpdf_service.config import FieldConfig, SearchConfig
 from gpdf_service.fields import Gpdf, Nearer, Tree, build_tree, fit_gpdf
 from gpdf_service.fields.threads import run_beside, run_parallel
 from gpdf_service.ground import CLEAN, GroundLevel, Levels, Obstacles, Scan, obstacles_of
-from gpdf_service.search.core import Core, find_core, links_of
-from gpdf_service.search.graph import Edges, Graph, assemble, find_edges, price_pairs
+from gpdf_service.search.core import Core, find_core
+from gpdf_service.search.graph import Edges, Graph, PatchedGraph, assemble, find_edges, price_pairs
 from gpdf_service.search.layered import Layered
 from gpdf_service.search.places import Places, nearest_places, nearest_to
 from gpdf_service.search.quadtree import Quadtree, build_quadtree
@@ -65,8 +65,7 @@ class LevelSpace:
     def clearance(self, xy: FloatArray) -> tuple[FloatArray, IntArray]:
         """Exact distance from places in plan, shape (m, 2), to the nearest obstacle [m], and its kind, shape (m,)."""
         distance, row = nearest_places(self.places, xy)
-        kinds = Layered(self.standing.kind, self.moving.kind, len(self.standing.kind))
-        return distance, kinds[row].astype(np.int64)
+        return distance, Layered(self.standing.kind, self.moving.kind)[row].astype(np.int64)
 
     def room(self, xy: FloatArray) -> tuple[float, int]:
         """`clearance` of a single place, shape (2,)."""
@@ -115,7 +114,7 @@ class FreeSpace:
     radius: float
     levels: tuple[LevelSpace, ...]
     doors: Edges
-    graph: Graph
+    graph: Graph | PatchedGraph
     core: Core
     longest: float
     boxes: dict[object, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
@@ -215,7 +214,7 @@ def join_levels(
     own = tuple(replace(part, offset=begin) for part, begin in zip(parts, begins, strict=False))
     doors = find_doors(levels, own)
     if former and _is_joined(former[0], own, doors):
-        graph, core = former[0].graph, former[0].core
+        graph, core = former[0].graph.standing, former[0].core
     else:
         graph = connect(own, doors, radius)
         core = core_of(own, graph, former)
@@ -232,22 +231,17 @@ def _is_joined(old: FreeSpace, parts: tuple[LevelSpace, ...], doors: Edges) -> b
 
 def find_doors(levels: Levels, parts: tuple[LevelSpace, ...]) -> Edges:
     """Edges from level to level, where two are the same ground: pairs of nodes of one graph over all of them."""
-    found = [whole_doors(parts[each.a], parts[each.b], each.points[:, :2])[0] for each in levels.portals]
+    found = [whole_doors(parts[each.a], parts[each.b], each.points[:, :2]) for each in levels.portals]
     pairs, vias = zip((np.zeros((0, 2), np.int64), np.zeros((0, 2))), *found, strict=True)
     return np.concatenate(pairs), np.concatenate(vias)
 
 
-def whole_doors(one: LevelSpace, other: LevelSpace, xy: FloatArray) -> tuple[Edges, FloatArray]:
-    """Edges between two levels at those of the places (k, 2) that are in two wholly free leaves.
-
-    Also the clearance at both ends of each, (e, 2) [m].
-    """
+def whole_doors(one: LevelSpace, other: LevelSpace, xy: FloatArray) -> Edges:
+    """Edges between two levels at those of the places (k, 2) that are in two wholly free leaves."""
     a, b = one.quadtree, other.quadtree
     i, j = a.find(xy), b.find(xy)
     both = (i >= 0) & (j >= 0) & a.whole[i] & b.whole[j]
-    i, j = i[both], j[both]
-    clearance = np.column_stack([a.clearance[i], b.clearance[j]])
-    return (np.column_stack([i + one.offset, j + other.offset]), xy[both]), clearance
+    return np.column_stack([i[both] + one.offset, j[both] + other.offset]), xy[both]
 
 
 def connect(parts: tuple[LevelSpace, ...], doors: Edges, radius: float) -> Graph:
@@ -272,8 +266,7 @@ def core_of(parts: tuple[LevelSpace, ...], graph: Graph, former: Former | None =
     """
     keys = "free", "half_size", "clearance"
     free, half, clearance = (_joined([getattr(part.quadtree, key) for part in parts]) for key in keys)
-    links, known = links_of(graph, free, 2.0 * half, clearance), None
-    old, levels, sources = former or (None, (), ())
+    known, (old, levels, sources) = None, former or (None, (), ())
     if old is not None and (np.diff([k for k in levels if k >= 0]) > 0).all():
         source = np.full(len(free), -1)
         for part, k, was in zip(parts, levels, sources, strict=True):
@@ -281,7 +274,7 @@ def core_of(parts: tuple[LevelSpace, ...], graph: Graph, former: Former | None =
                 own = np.arange(len(part.quadtree.size)) if was is None else was
                 source[part.offset : part.offset + len(own)] = np.where(own < 0, -1, own + old.levels[k].offset)
         known = old.core, source
-    return find_core(graph, free, links, known)
+    return find_core(graph, free, 2.0 * half, clearance, known)
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from math import sqrt
 from typing import Any, NamedTuple
 
@@ -17,49 +18,16 @@ from gpdf_service.fields.traversal import nearest_at
 from gpdf_service.fields.tree import make_scratch
 from gpdf_service.kernel_cache import lean
 from gpdf_service.search.landmarks import NO_LANDMARKS, Landmarks, at_least, bounds_to
-from gpdf_service.search.layered import Rows, below
+from gpdf_service.search.layered import Layered
 from gpdf_service.search.places import Places, is_straight_clear
-from gpdf_service.search.quadtree import Quadtree
+from gpdf_service.search.quadtree import Quadtree, center_of, side_of, touching
 from gpdf_service.search.resplit import Leaves, centers
 from gpdf_service.tiles.nodes import components
 from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 
-class Patch(NamedTuple):
-    """A few nodes of a graph whose edges are others than those that stand, the nodes that were added among them.
-
-    Attributes:
-        node: The few, ascending.
-        row: 1 + which of the few each node is, 0 where its edges stand; shape (k,), or none if there is no patch.
-        first: First edge of each of the few, and how many they have in all.
-        other: Far end of each edge.
-        cost: Of each edge [m].
-        position: Places of the nodes that were added (x, y) [m].
-    """
-
-    node: IntArray
-    row: NDArray[np.int32]
-    first: IntArray
-    other: IntArray
-    cost: FloatArray
-    position: FloatArray
-
-
-_NONE = np.zeros(0, np.int64)
-NO_PATCH = Patch(_NONE, np.zeros(0, np.int32), np.zeros(1, np.int64), _NONE, np.zeros(0), np.zeros((0, 2)))
-
-
-class Net(NamedTuple):
-    """Where the edges of a graph lead, in compiled form: those that stand, see `Graph`, and the patch."""
-
-    first: IntArray
-    other: IntArray
-    patch: Patch
-
-
-@dataclass(frozen=True, slots=True)
-class Graph:
-    """Undirected graph in compressed rows, and a patch where something moves: its nodes and edges come after these.
+class Graph(NamedTuple):
+    """Undirected graph in compressed rows. Kernels take it as it is.
 
     Attributes:
         position: Places of the nodes (x, y) [m], shape (k, 2).
@@ -69,24 +37,123 @@ class Graph:
         via: Where the edge crosses from leaf to leaf (x, y) [m], shape (e, 2).
         cost: Length of the edge, weighted by how close it passes [m], shape (e,).
         component: Connected component of each node, shape (k,).
-        patch: What is other than in `first` and the standing rows of the rest.
-        landmarks: Of what stands, for who searches it; none where there is a patch.
+        landmarks: For who searches it.
     """
 
-    position: Rows
-    level: Rows
+    position: FloatArray
+    level: IntArray
     first: IntArray
-    other: Rows
-    via: Rows
-    cost: Rows
-    component: Rows
-    patch: Patch = NO_PATCH
-    landmarks: Landmarks = field(default_factory=lambda: NO_LANDMARKS)
+    other: IntArray
+    via: FloatArray
+    cost: FloatArray
+    component: IntArray
+    landmarks: Landmarks = NO_LANDMARKS
 
     @property
-    def net(self) -> Net:
-        """Where its edges lead."""
-        return Net(self.first, below(self.other), self.patch)
+    def standing(self) -> Graph:
+        """Without what moves."""
+        return self
+
+    @property
+    def patch(self) -> Patch:
+        """What is other than in it where something moves."""
+        return NO_PATCH
+
+
+class Patch(NamedTuple):
+    """A few nodes of a graph whose edges are others than those that stand, the nodes that were added among them.
+
+    Attributes:
+        node: The few, ascending.
+        row: 1 + which of the few each node is, 0 where its edges stand; shape (k,), or none if there is no patch.
+        first: First edge of each of the few, and how many they have in all.
+        other: Far end of each edge; those of a `Graph`, too, the next two.
+        via: Where it crosses.
+        cost: What it costs.
+        position: Places of the nodes that were added (x, y) [m].
+        level: Level of each of them.
+        component: Connected component of each of them.
+    """
+
+    node: IntArray
+    row: NDArray[np.int32]
+    first: IntArray
+    other: IntArray
+    via: FloatArray
+    cost: FloatArray
+    position: FloatArray
+    level: IntArray
+    component: IntArray
+
+
+_NONE, _NOWHERE = np.zeros(0, np.int64), np.zeros((0, 2))
+NO_PATCH = Patch(
+    _NONE, np.zeros(0, np.int32), np.zeros(1, np.int64), _NONE, _NOWHERE, np.zeros(0), _NOWHERE, _NONE, _NONE
+)
+
+
+def _both(name: str) -> cached_property[Layered]:
+    """What a `Graph` says of each node or edge, by its number."""
+    return cached_property(lambda graph: Layered(getattr(graph.standing, name), getattr(graph.patch, name)))
+
+
+@dataclass(frozen=True)
+class PatchedGraph:
+    """A graph in which something moves: nodes and edges of the patch come after those that stand.
+
+    Attributes:
+        standing: The graph of what stands, with the components of now.
+        patch: What is other than in its rows.
+    """
+
+    standing: Graph
+    patch: Patch
+
+    position = _both("position")
+    level = _both("level")
+    other = _both("other")
+    via = _both("via")
+    cost = _both("cost")
+    component = _both("component")
+
+
+class Net(NamedTuple):
+    """Where the edges of a graph lead, for kernels.
+
+    Attributes:
+        first: Of a `Graph`, as the next one.
+        other: See there.
+        row: Of its `Patch`, as the next ones.
+        first_more: First edge of each of its nodes.
+        more: Far end of each of its edges.
+    """
+
+    first: IntArray
+    other: IntArray
+    row: NDArray[np.int32]
+    first_more: IntArray
+    more: IntArray
+
+
+def net_of(graph: Graph | PatchedGraph) -> Net:
+    """Where its edges lead."""
+    return Net(graph.standing.first, graph.standing.other, graph.patch.row, graph.patch.first, graph.patch.other)
+
+
+@lean()
+def edges_of(net: Net, node: int) -> tuple[int, int]:
+    """Number of the first edge of a node and behind its last; those of the patch come after those that stand."""
+    row = net.row[node] if len(net.row) > 0 else 0
+    if row == 0:
+        return net.first[node], net.first[node + 1]
+    return len(net.other) + net.first_more[row - 1], len(net.other) + net.first_more[row]
+
+
+@lean()
+def far_end(net: Net, edge: int) -> int:
+    """The node that an edge leads to."""
+    standing = len(net.other)
+    return int(net.other[edge] if edge < standing else net.more[edge - standing])
 
 
 @njit(cache=True, nogil=True)
@@ -165,17 +232,17 @@ def change_edges(
     as they were, `same_leaves`, and none of the `places` where obstacles came or went is that near.
     """
     now, was = leaves
-    same, squares = was >= 0, (tree.origin, tree.width, tree.corner, tree.size)
+    same = was >= 0
     if places is not None:
-        _feel(places, squares, tree.free, tree.whole, radius, same)
+        _feel(places, tree, radius, same)
     if same.all():
         return edges
     fresh = ~same
-    looking = np.flatnonzero(tree.free & tree.touching(fresh))
+    looking = np.flatnonzero(tree.free & touching(tree, fresh))
     found = find_edges(tree, obstacles, radius, looking, fresh.__getitem__)
     size = len(edges[0]) + len(found[0])
     made = np.empty((size, 2), np.int64), np.empty((size, 2))  # by NumPy, which asks for large pages
-    used = _merge_edges(now, same, edges, found, squares, made)
+    used = _merge_edges(now, same, edges, found, tree, made)
     return made[0][:used], made[1][:used]
 
 
@@ -183,62 +250,40 @@ SameLeaves = tuple[IntArray, IntArray]
 """Number now of each leaf that was, −1 where it is another, and the number then of each leaf now."""
 
 
+@njit(cache=True, nogil=True)
 def same_leaves(old: Quadtree, tree: Quadtree) -> SameLeaves:
-    """Which leaves of two trees are the same ones."""
-    now, was = np.full(len(old.code), -1), np.full(len(tree.code), -1)
-    if (old.origin == tree.origin).all() and old.side == tree.side:
-        one, other = ((each.code, each.size, each.free, each.whole) for each in (old, tree))
-        _match(one, other, now, was)
+    """Which leaves of two trees are the same ones: both in turn, by their codes."""
+    now, was, i = np.full(len(old.code), -1), np.full(len(tree.code), -1), 0
+    if (old.origin != tree.origin).any() or side_of(old) != side_of(tree):
+        return now, was
+    for k in range(len(tree.code)):
+        while i < len(old.code) and old.code[i] < tree.code[k]:
+            i += 1
+        if i == len(old.code):
+            break
+        alike = old.code[i] == tree.code[k] and old.size[i] == tree.size[k]
+        if alike and old.free[i] == tree.free[k] and old.whole[i] == tree.whole[k]:
+            now[i], was[k] = k, i
     return now, was
 
 
-_Told = tuple[IntArray, IntArray, BoolArray, BoolArray]
-"""Morton code of each leaf of a tree, ascending, its size, and whether it is free, and wholly."""
-
-
 @njit(cache=True, nogil=True)
-def _match(old: _Told, tree: _Told, now: IntArray, was: IntArray) -> None:
-    """See `same_leaves`: both in turn, by their codes."""
-    (code_was, size_was, free_was, whole_was), (code, size, free, whole), i = old, tree, 0
-    for k in range(len(code)):
-        while i < len(code_was) and code_was[i] < code[k]:
-            i += 1
-        if i == len(code_was):
-            break
-        alike = code_was[i] == code[k] and size_was[i] == size[k]
-        if alike and free_was[i] == free[k] and whole_was[i] == whole[k]:
-            now[i], was[k] = k, i
-
-
-Squares = tuple[FloatArray, float, IntArray, IntArray]
-"""Origin, width of the smallest cells, and corner and size of each leaf of a quadtree."""
-
-
-@lean()
-def _center(squares: Squares, leaf: int) -> tuple[float, float]:
-    """Where a leaf's centre is [m]."""
-    origin, width, corner, size = squares
-    x, y = corner[leaf, 0] + 0.5 * size[leaf], corner[leaf, 1] + 0.5 * size[leaf]
-    return origin[0] + x * width, origin[1] + y * width
-
-
-@njit(cache=True, nogil=True)
-def _feel(places: Tree, squares: Squares, free: BoolArray, whole: BoolArray, radius: float, same: BoolArray) -> None:
+def _feel(places: Tree, tree: Quadtree, radius: float, same: BoolArray) -> None:
     """Leaves that are free in part are not the `same` if a place is within the radius of one of theirs, or more."""
     scratch, low, high = make_scratch(), np.empty(2), np.empty(2)
     for k in range(2):
         low[k], high[k] = places.points[:, k].min(), places.points[:, k].max()
     for i in range(len(same)):
-        if whole[i] or not (free[i] and same[i]):
+        if tree.whole[i] or not (tree.free[i] and same[i]):
             continue
-        reach = radius + 1.5 * squares[1] * squares[3][i]  # twice half the diagonal: more than a proof's resolution
-        x, y = _center(squares, i)
+        reach = radius + 1.5 * tree.width * tree.size[i]  # twice half the diagonal: more than a proof's resolution
+        x, y = center_of(tree, i)
         near = low[0] - reach <= x <= high[0] + reach and low[1] - reach <= y <= high[1] + reach
         same[i] = not (near and nearest_at(places, (x, y, 0.0), scratch)[0] <= reach)
 
 
 @njit(cache=True, nogil=True)
-def _merge_edges(now: IntArray, same: BoolArray, old: Edges, fresh: Edges, squares: Squares, made: Edges) -> int:
+def _merge_edges(now: IntArray, same: BoolArray, old: Edges, fresh: Edges, tree: Quadtree, made: Edges) -> int:
     """Write old edges between leaves that are the `same`, and fresh ones, as `find_edges` orders them; how many."""
     (ends, via), used, f = made, 0, 0
     for e in range(len(old[0]) + 1):
@@ -246,8 +291,8 @@ def _merge_edges(now: IntArray, same: BoolArray, old: Edges, fresh: Edges, squar
         a, b = (0, 0) if last else (now[old[0][e, 0]], now[old[0][e, 1]])
         if a < 0 or b < 0 or not (last or (same[a] and same[b])):
             continue
-        rank = (4, 0) if last else (_side(old[1][e], squares, a), a)
-        while f < len(fresh[0]) and (_side(fresh[1][f], squares, fresh[0][f, 0]), fresh[0][f, 0]) < rank:
+        rank = (4, 0) if last else (_side(old[1][e], tree, a), a)
+        while f < len(fresh[0]) and (_side(fresh[1][f], tree, fresh[0][f, 0]), fresh[0][f, 0]) < rank:
             ends[used], via[used] = fresh[0][f], fresh[1][f]
             used, f = used + 1, f + 1
         if not last:
@@ -257,9 +302,9 @@ def _merge_edges(now: IntArray, same: BoolArray, old: Edges, fresh: Edges, squar
 
 
 @njit(cache=True, nogil=True)
-def _side(via: FloatArray, squares: Squares, leaf: int) -> int:
+def _side(via: FloatArray, tree: Quadtree, leaf: int) -> int:
     """Across which side of a leaf an edge goes, as `find_edges` looks at them."""
-    center = _center(squares, leaf)
+    center = center_of(tree, leaf)
     x, y = via[0] - center[0], via[1] - center[1]
     return 2 + int(y > 0.0) if abs(y) > abs(x) else int(x > 0.0)
 
@@ -290,33 +335,21 @@ def _put_rows(edges: Edges, cost: FloatArray, first: IntArray, made: tuple[IntAr
             other[at], crossing[at, 0], crossing[at, 1], costs[at] = pairs[e, 1 - end], via[e, 0], via[e, 1], cost[e]
 
 
-def price_edges(ends: FloatArray, via: FloatArray, clearance: FloatArray, radius: float) -> FloatArray:
-    """`price_pairs` of edges, from their ends' places, (e, 2, 2) [m], crossings, and ends' clearance, (e, 2) [m]."""
-    edges = np.arange(2 * len(via)).reshape(-1, 2), via
-    return price_pairs(np.ascontiguousarray(ends).reshape(-1, 2), clearance.ravel(), edges, radius)
-
-
+@njit(cache=True, nogil=True)
 def price_pairs(position: FloatArray, clearance: FloatArray, edges: Edges, radius: float) -> FloatArray:
     """Cost of edges [m], shape (e,), between nodes, of all of which place [m] and clearance [m] are given.
 
     An edge costs its length times 1 + max(0, 1 − (d − r)/r): up to twice where the body brushes past, once where there
     is as much room beside it as half its width. The factor is at least 1, so the Euclidean heuristic stays admissible.
     """
-    cost = np.empty(len(edges[1]))
-    _price(position, clearance, edges, radius, cost)
-    return cost
-
-
-@njit(cache=True, nogil=True)
-def _price(position: FloatArray, clearance: FloatArray, edges: Edges, radius: float, cost: FloatArray) -> None:
-    """See `price_pairs`."""
-    pairs, via = edges
+    (pairs, via), cost = edges, np.empty(len(edges[1]))
     for e in range(len(pairs)):
         length, room = 0.0, np.inf
         for k in range(2):
             x, y = position[pairs[e, k], 0] - via[e, 0], position[pairs[e, k], 1] - via[e, 1]
             length, room = length + sqrt(x * x + y * y), min(room, clearance[pairs[e, k]])
         cost[e] = length * (1.0 + min(max(1.0 - (room - radius) / radius, 0.0), 1.0))
+    return cost
 
 
 class Doors(NamedTuple):
@@ -340,52 +373,18 @@ def find_way(graph: Graph, begin: Doors, end: Doors, goal: FloatArray, rate: flo
 
     A metre of an edge, and of the way from an end's door to the `goal` (2,) [m], costs at least the `rate`.
     """
-    ways = below(graph.position), graph.net, below(graph.cost), graph.landmarks, rate
-    first, edges = astar(Question(*ways, *begin, *end, goal), len(graph.position))
+    first, edges = astar(Question(graph, begin, end, goal, rate))
     return int(first), edges
 
 
 class Question(NamedTuple):
-    """What A* is asked: a graph, by which nodes a way may begin and end, at what cost, and where it leads.
+    """What A* is asked: see `find_way`."""
 
-    The first five attributes are those of `Graph` and `find_way`, the next four those of its `Doors`.
-    """
-
-    position: FloatArray
-    net: Net
-    cost: FloatArray
-    landmarks: Landmarks
-    rate: float
-    sources: IntArray
-    source_cost: FloatArray
-    exits: IntArray
-    exit_cost: FloatArray
+    graph: Graph
+    begin: Doors
+    end: Doors
     goal: FloatArray
-
-
-@lean()
-def edges_of(net: Net, node: int) -> tuple[int, int]:
-    """Number of the first edge of a node and behind its last; those of the patch come after those that stand."""
-    first, other, patch = net
-    row = patch.row[node] if len(patch.row) > 0 else 0
-    if row == 0:
-        return first[node], first[node + 1]
-    return len(other) + patch.first[row - 1], len(other) + patch.first[row]
-
-
-@lean()
-def far_end(net: Net, edge: int) -> int:
-    """The node that an edge leads to."""
-    _, other, patch = net
-    return int(other[edge] if edge < len(other) else patch.other[edge - len(other)])
-
-
-@lean()
-def place_of_node(position: FloatArray, patch: Patch, node: int) -> tuple[float, float]:
-    """Where a node is [m]."""
-    if node < len(position):
-        return position[node, 0], position[node, 1]
-    return patch.position[node - len(position), 0], patch.position[node - len(position), 1]
+    rate: float
 
 
 KNOWN = np.dtype([("cost_to_come", np.float64), ("came_by", np.int32), ("came_from", np.int32), ("at", np.int64)])
@@ -460,11 +459,13 @@ def _next(front: Front) -> int:
 
 
 @njit(cache=True, nogil=True)
-def astar(question: Question, count: int) -> tuple[int, IntArray]:
-    """See `find_way`, of a graph of so many nodes."""
+def astar(question: Question) -> tuple[int, IntArray]:
+    """See `find_way`."""
+    count = len(question.graph.position)
     n = count + 1  # the last is the goal itself; pages that nobody visits cost nothing
     front = Front(np.zeros(n, KNOWN), np.empty(n, np.int32), np.empty(n), np.zeros(1, np.int64))
-    _spread(question, bounds_to(question.landmarks, question.exits, question.exit_cost), front)
+    bounds = bounds_to(question.graph.landmarks, question.end.node, question.end.cost)
+    _spread(question, bounds, front)
     edges = [0 for _ in range(0)]
     if front.known[count].came_by == 0:
         return -1, np.array(edges, dtype=np.int64)
@@ -478,32 +479,30 @@ def astar(question: Question, count: int) -> tuple[int, IntArray]:
 @lean(inline="always")
 def _come(question: Question, bounds: FloatArray, front: Front, node: int, come: float, by: int, before: int) -> None:
     """Let a node wait that is reached at a cost, `by` an edge from the one `before`, if that is the cheapest so far."""
-    known = front.known[node]
+    known, position, goal = front.known[node], question.graph.position, question.goal
     if known.came_by == 0 or come < known.cost_to_come:
         known.cost_to_come, known.came_by, known.came_from = come, by, before
         far = 0.0
-        if node < len(front.known) - 1:  # not the goal itself
-            x, y = place_of_node(question.position, question.net.patch, node)
-            straight = question.rate * sqrt((x - question.goal[0]) ** 2 + (y - question.goal[1]) ** 2)
-            far = max(straight, at_least(question.landmarks, bounds, node))
+        if node < len(position):  # not the goal itself
+            straight = question.rate * sqrt((position[node, 0] - goal[0]) ** 2 + (position[node, 1] - goal[1]) ** 2)
+            far = max(straight, at_least(question.graph.landmarks, bounds, node))
         _wait(front, come + far, node)
 
 
 @lean()
 def _spread(question: Question, bounds: FloatArray, front: Front) -> None:
     """The search itself: until the goal is the next node, or none is left that leads there."""
-    goal_node, net, cost = len(front.known) - 1, question.net, question.cost
-    standing = len(net.other)
-    for k in range(len(question.sources)):
-        _come(question, bounds, front, question.sources[k], question.source_cost[k], -1, 0)
+    graph, begin, end = question.graph, question.begin, question.end
+    goal_node = len(graph.position)
+    for k in range(len(begin.node)):
+        _come(question, bounds, front, begin.node[k], begin.cost[k], -1, 0)
     while front.size[0] > 0:
         estimate, node = front.estimate[0], _next(front)
         if node == goal_node or estimate == np.inf:
             break
         come = front.known[node].cost_to_come
-        for k in range(len(question.exits)):
-            if question.exits[k] == node:
-                _come(question, bounds, front, goal_node, come + question.exit_cost[k], 1, node)
-        for e in range(*edges_of(net, node)):
-            reached = come + (cost[e] if e < standing else net.patch.cost[e - standing])
-            _come(question, bounds, front, far_end(net, e), reached, e + 1, node)
+        for k in range(len(end.node)):
+            if end.node[k] == node:
+                _come(question, bounds, front, goal_node, come + end.cost[k], 1, node)
+        for e in range(graph.first[node], graph.first[node + 1]):
+            _come(question, bounds, front, graph.other[e], come + graph.cost[e], e + 1, node)

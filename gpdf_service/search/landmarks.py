@@ -6,10 +6,10 @@ ramps, which lead round and round over places that are near in plan.
 
 from __future__ import annotations
 
-import heapq
-
 import numpy as np
 from numba import njit
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
 
 from gpdf_service.kernel_cache import lean
 from gpdf_service.types import Float32Array, FloatArray, IntArray
@@ -24,45 +24,17 @@ NO_LANDMARKS = np.zeros((0, 0), np.float32)
 
 def find_landmarks(first: IntArray, other: IntArray, cost: FloatArray, component: IntArray) -> Landmarks:
     """Landmarks of a graph in compressed rows, in its largest component, each as far as can be from those before it."""
-    if len(component) == 0:
+    count = len(component)
+    if count == 0:
         return NO_LANDMARKS
-    inside = np.flatnonzero(component == np.bincount(component).argmax())
-    made: Landmarks = _spread(first, other, cost, inside, COUNT)
+    graph, inside = csr_matrix((cost, other, first), (count, count)), component == np.bincount(component).argmax()
+    made, nearest = np.empty((count, COUNT), np.float32), np.where(inside, np.inf, -np.inf)
+    node = np.where(inside, dijkstra(graph, indices=inside.argmax()), -np.inf).argmax()
+    for k in range(COUNT):
+        made[:, k] = far = dijkstra(graph, indices=node)
+        nearest = np.minimum(nearest, far)
+        node = nearest.argmax()
     return made
-
-
-@njit(cache=True, nogil=True)
-def _spread(first: IntArray, other: IntArray, cost: FloatArray, inside: IntArray, count: int) -> Landmarks:
-    """See `find_landmarks`: all nodes of the component are `inside`."""
-    made = np.full((len(first) - 1, count), np.inf, np.float32)
-    nearest, node = flood(first, other, cost, inside[0]), inside[0]
-    for k in range(count):
-        for i in inside:
-            if nearest[i] > nearest[node]:
-                node = i
-        far = flood(first, other, cost, node)
-        for i in inside:
-            made[i, k] = far[i]
-            nearest[i] = min(nearest[i], far[i]) if k > 0 else far[i]
-    return made
-
-
-@njit(cache=True, nogil=True)
-def flood(first: IntArray, other: IntArray, cost: FloatArray, source: int) -> FloatArray:
-    """Cost of the way from a node to every one (Dijkstra), inf where there is none."""
-    come = np.full(len(first) - 1, np.inf)
-    come[source] = 0.0
-    frontier = [(0.0, source)]
-    while len(frontier) > 0:
-        reached, node = heapq.heappop(frontier)
-        if reached > come[node]:
-            continue
-        for e in range(first[node], first[node + 1]):
-            further = reached + cost[e]
-            if further < come[other[e]]:
-                come[other[e]] = further
-                heapq.heappush(frontier, (further, other[e]))
-    return come
 
 
 @njit(cache=True, nogil=True)

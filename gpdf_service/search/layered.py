@@ -14,13 +14,13 @@ class Layered:
     Args:
         below: Shape (n, …).
         above: The same, shape (k, …).
-        start: Number of the first row above, n at least; what is between the two is no row.
+        start: Number of the first row above, n at least, and if not given; what is between the two is no row.
     """
 
     __slots__ = ("above", "below", "start")
 
-    def __init__(self, below: NDArray[Any], above: NDArray[Any], start: int) -> None:
-        self.below, self.above, self.start = below, above, start
+    def __init__(self, below: NDArray[Any], above: NDArray[Any], start: int | None = None) -> None:
+        self.below, self.above, self.start = below, above, len(below) if start is None else start
 
     def __len__(self) -> int:
         return self.start + len(self.above)
@@ -35,17 +35,3 @@ class Layered:
         made = self.below.take(np.where(over, 0, rows), axis=0)
         made[over] = self.above[rows[over] - self.start]
         return made
-
-
-Rows = NDArray[Any] | Layered
-"""What is read by row numbers."""
-
-
-def below(rows: Rows) -> NDArray[Any]:
-    """Those that stand."""
-    return rows.below if isinstance(rows, Layered) else rows
-
-
-def above(rows: Rows) -> NDArray[Any]:
-    """Those that are not among them."""
-    return rows.above if isinstance(rows, Layered) else rows[:0]

@@ -17,8 +17,8 @@ from gpdf_service.ground.level import OVERLAP, within_reach
 from gpdf_service.ground.limits import NO_LIMITS
 from gpdf_service.search.core import patch_core
 from gpdf_service.search.free_space import NONE, FreeSpace, Setup, fit_obstacle_field, joined, whole_doors
-from gpdf_service.search.graph import Edges, Graph, Net, Patch, edges_of, far_end, find_edges, price_edges
-from gpdf_service.search.layered import Layered, below
+from gpdf_service.search.graph import Edges, Graph, Net, Patch, PatchedGraph, edges_of, far_end, find_edges, price_pairs
+from gpdf_service.search.layered import Layered
 from gpdf_service.search.places import Places
 from gpdf_service.search.resplit import SplitQuadtree, split_again
 from gpdf_service.tiles.boxes import Box
@@ -94,37 +94,31 @@ def _part(level: GroundLevel, points: FloatArray, box: Box) -> GroundLevel:
 
 def _connected(space: FreeSpace, split: list[tuple[int, SplitQuadtree]]) -> FreeSpace:
     """The space without the leaves that are gone in graph and core, and with the fresh ones of these levels."""
-    graph = space.graph
-    gone = space.gone
-    lost, found, room = around(graph, gone), [], []
+    stands, gone = space.graph.standing, space.gone
+    lost, found = around(stands, gone), []
     for i, tree in split:
         offset = space.levels[i].offset
-        own = lost.ring[graph.level[lost.ring] == i] - offset
+        own = lost.ring[stands.level[lost.ring] == i] - offset
         leaves = np.concatenate([own, tree.start + np.arange(len(tree.fresh.size))])
         ends, via = find_edges(tree, space.levels[i].places, space.radius, leaves, partial(np.less_equal, tree.start))
         found.append((ends + offset, via))
-        room.append(tree.clearance[ends])
-    for edges, clearance in _portals(space, lost):
-        found.append(edges)
-        room.append(clearance)
+    found += _portals(space, lost)
     position, clearance, half_size = (
         np.concatenate([getattr(tree.fresh, key) for _, tree in split]) for key in ("center", "clearance", "half_size")
     )
     level = np.repeat([i for i, _ in split], [len(tree.fresh.size) for _, tree in split])
     edges = np.concatenate([ends for ends, _ in found]), np.concatenate([via for _, via in found])
-    graph = patched(graph, lost, (position, level), edges, np.concatenate(room), space.radius)
+    room = Layered(space.core.links.clearance, clearance)
+    graph = patched(stands, lost, (position, level), edges, room, space.radius)
     within = np.concatenate([tree.within_gone + space.levels[i].offset for i, tree in split])
     place = within + np.arange(1, len(within) + 1) / (len(within) + 1)  # in the order of a quadtree of all
     added = np.column_stack([clearance, place])
     return replace(space, graph=graph, core=patch_core(space.core, graph, gone, added, 2.0 * half_size))
 
 
-def _portals(space: FreeSpace, lost: Around) -> Iterator[tuple[Edges, FloatArray]]:
-    """What is left of the edges from level to level that are lost: where both leaves of the place are whole again.
-
-    Also the clearance at both ends (e, 2) [m].
-    """
-    graph = space.graph
+def _portals(space: FreeSpace, lost: Around) -> Iterator[Edges]:
+    """What is left of the edges from level to level that are lost: where both leaves of the place are whole again."""
+    graph = space.graph.standing
     levels = np.column_stack([graph.level[lost.source], graph.level[graph.other[lost.edge]]])
     across = levels[:, 0] != levels[:, 1]
     places = np.unique(np.column_stack([np.sort(levels[across], axis=1), graph.via[lost.edge[across]]]), axis=0)
@@ -166,63 +160,56 @@ def _edges_from(graph: Graph, nodes: IntArray) -> tuple[IntArray, IntArray]:
     return np.repeat(nodes, behind - first), rows_of_runs(first, behind)
 
 
-def patched(graph: Graph, lost: Around, fresh: Nodes, edges: Edges, clearance: FloatArray, radius: float) -> Graph:
+def patched(graph: Graph, lost: Around, fresh: Nodes, edges: Edges, room: Layered, radius: float) -> PatchedGraph:
     """The graph of what stands without what it has `lost`, and with fresh nodes, numbered after all others.
 
-    One node of each of the `edges` is new; the `clearance` is that at both ends of these, (e, 2) [m].
+    One node of each of the `edges` is new; the `room` is that from each node to the nearest obstacle [m].
     """
-    (pairs, via), (places, level) = edges, fresh
-    count, size = len(graph.position), len(graph.other)
-    position = Layered(below(graph.position), places, count)
+    (pairs, via), (places, level), count = edges, fresh, len(graph.position)
     beside = np.unique(np.concatenate([lost.ring, pairs[pairs < count]]))
     source, kept = _edges_from(graph, beside)
     stays = ~is_among(graph.other[kept], lost.gone)
     source, kept = source[stays], kept[stays]
-    price = price_edges(position[pairs], via, clearance, radius)
-    nodes = np.concatenate([beside, count + np.arange(len(level))])
+    ends = pairs.ravel()
+    own = np.arange(len(ends)).reshape(-1, 2), via  # the edges between the ends alone
+    price = price_pairs(Layered(graph.position, places)[ends], room[ends], own, radius)
     start = np.concatenate([source, pairs[:, 0], pairs[:, 1]])
     order = np.argsort(start, kind="stable")
+    start = start[order]
+    other = np.concatenate([graph.other[kept], pairs[:, 1], pairs[:, 0]])[order]
+    crossing = np.concatenate([graph.via[kept], via, via])[order]
+    cost = np.concatenate([graph.cost[kept], price, price])[order]
+    nodes = np.concatenate([beside, count + np.arange(len(level))])
     row = np.zeros(count + len(level), np.int32)  # pages that nobody reads cost nothing
     row[nodes] = 1 + np.arange(len(nodes))
-    other = np.concatenate([graph.other[kept], pairs[:, 1], pairs[:, 0]])[order]
-    first = np.searchsorted(start[order], np.append(nodes, len(row)))
-    cost = np.concatenate([graph.cost[kept], price, price])
-    patch = Patch(nodes, row, first, other, cost[order], places)
-    return Graph(
-        position,
-        Layered(below(graph.level), level, count),
-        graph.first,
-        Layered(below(graph.other), other, size),
-        Layered(below(graph.via), np.concatenate([graph.via[kept], via, via])[order], size),
-        Layered(below(graph.cost), patch.cost, size),
-        _components(graph, patch, start[order]),
-        patch,
-    )
+    first = np.searchsorted(start, np.append(nodes, len(row)))
+    component, more = _components(graph, Net(graph.first, graph.other, row, first, other), nodes, start)
+    patch = Patch(nodes, row, first, other, crossing, cost, places, level, more)
+    return PatchedGraph(graph._replace(component=component), patch)
 
 
-def _components(graph: Graph, patch: Patch, start: IntArray) -> Layered:
-    """Connected component of each node of a graph with a patch, whose edges `start` at such nodes.
+def _components(graph: Graph, net: Net, nodes: IntArray, start: IntArray) -> tuple[IntArray, IntArray]:
+    """Connected component of each node that stands, and of each that was added.
 
-    What stood in one component is joined as before, where what is left of it beside the patch is joined in the patch.
-    Only where that falls apart all of the component is looked through: there may be another way round.
+    What stood in one component is joined as before, where what is left of it beside the patch is joined in the patch,
+    whose edges `start` at such `nodes`, see there. Only where that falls apart all of the component is looked through:
+    there may be another way round.
     """
-    nodes, count, known = patch.node, len(graph.position), len(patch.node) - len(patch.position)
-    here = is_among(patch.other, nodes)
-    own, to = (np.searchsorted(nodes, ends[here]) for ends in (start, patch.other))
+    count, known = len(graph.position), np.searchsorted(nodes, len(graph.position))
+    here = is_among(net.more, nodes)
+    own, to = (np.searchsorted(nodes, ends[here]) for ends in (start, net.more))
     piece = components(own, to, np.ones(len(nodes), dtype=bool))
-    component = below(graph.component)
-    was = component[nodes[:known]]
+    was = graph.component[nodes[:known]]
     label = count + np.arange(len(nodes))  # of a piece that nothing standing leads to: that of no other
     label[piece[:known]] = was
     fresh = label[piece[known:]]
     both = np.unique(np.column_stack([was, piece[:known]]), axis=0)[:, 0]
     torn = np.unique(both[1:][both[1:] == both[:-1]])
     if len(torn) == 0:
-        return Layered(component, fresh, count)
-    standing = component.copy()
-    seeds = nodes[:known][is_among(was, torn)]
-    _flood(graph.net._replace(patch=patch), seeds, count + len(nodes), standing, fresh)
-    return Layered(standing, fresh, count)
+        return graph.component, fresh
+    standing = graph.component.copy()
+    _flood(net, nodes[:known][is_among(was, torn)], count + len(nodes), standing, fresh)
+    return standing, fresh
 
 
 @njit(cache=True, nogil=True)

@@ -63,18 +63,14 @@ class _Nodes(NamedTuple):
     around: int
 
 
+@njit(cache=True, nogil=True)
 def free_poses(obstacles: Places, ground: Cells, grid: Grid, offsets: FloatArray, radius: float) -> Bits:
     """Where all discs keep `radius` [m], and what a step of the grid cuts from a turn, and the ground is known.
 
     The discs lie at `offsets` ahead of the body's centre [m], the same on either side of it; the grid has an even
     number of headings. A bit a pose, shape (headings, cells in x, words).
     """
-    made: Bits = _free_poses(obstacles, ground, grid, offsets, radius + grid.width**2 / (4.0 * radius))
-    return made
-
-
-@njit(cache=True, nogil=True)
-def _free_poses(obstacles: Places, ground: Cells, grid: Grid, offsets: FloatArray, radius: float) -> Bits:
+    radius += grid.width**2 / (4.0 * radius)
     nodes = _look_around(obstacles, grid, ceil(offsets[-1] / grid.width) + 2, radius)
     known = _known(ground, grid)
     free = np.zeros((grid.turns, *known.shape), np.uint64)

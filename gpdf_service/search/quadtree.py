@@ -6,17 +6,16 @@ d − b ≥ r: all of the leaf is free; d + b < r: none of it; else split, down 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from gpdf_service.fields import Tree, morton
 from gpdf_service.fields.traversal import nearest_at
 from gpdf_service.fields.tree import longer, make_scratch, place_of
+from gpdf_service.kernel_cache import lean
 from gpdf_service.tiles import HeightMap
 from gpdf_service.tiles.boxes import span
 from gpdf_service.tiles.surface import Cells, is_known, turned
@@ -31,9 +30,8 @@ ANCHORED = 1 << 12
 """Smallest cells of whose multiples the root's corner is one, 57 m: it stays where the ground goes on a little."""
 
 
-@dataclass(frozen=True)
-class Quadtree:
-    """The leaves, in Morton order; together they tile the root square.
+class Quadtree(NamedTuple):
+    """The leaves, in Morton order; together they tile the root square. Kernels take it as it is.
 
     Attributes:
         origin: Lower corner of the root [m], shape (2,).
@@ -55,14 +53,14 @@ class Quadtree:
     whole: BoolArray
     code: IntArray
 
-    @cached_property
+    @property
     def center(self) -> FloatArray:
         """Centres of the leaves [m], shape (k, 2)."""
         made = np.empty((len(self.size), 2))
-        _write_centers(self.corner, self.size, self.origin, self.width, made)
+        _write_centers(self, made)
         return made
 
-    @cached_property
+    @property
     def half_size(self) -> FloatArray:
         """Half the width of each leaf [m], shape (k,)."""
         made: FloatArray = (0.5 * self.width * self.size).astype(np.float64)
@@ -84,51 +82,59 @@ class Quadtree:
 
     def find_one(self, xy: FloatArray) -> int:
         """`find` of a single place, shape (2,)."""
-        found: int = _find_one(self.code, self.corner, self.size, self.origin, self.width, xy)
+        found: int = _find_one(self, xy)
         return found
-
-    @property
-    def side(self) -> int:
-        """Width of the root in smallest cells: the last leaf in Morton order is its upper corner."""
-        return int(self.corner[-1, 0] + self.size[-1])
 
     def within(self, xy: FloatArray, reach: float) -> IntArray:
         """Leaves that meet a square of half-width `reach` [m] around a place (2,) [m], in time by their number."""
         low, high = (xy - reach - self.origin) / self.width, (xy + reach - self.origin) / self.width
-        found: IntArray = _within(self.code, self.side, np.floor(low), np.ceil(high))
+        found: IntArray = _within(self, np.floor(low), np.ceil(high))
         return found
 
     def find_cell(self, cell: IntArray) -> IntArray:
         """Leaf that holds each smallest cell, shape (m, 2); -1 outside the root."""
-        found: IntArray = _find(self.code, self.side, cell)
-        return found
-
-    def touching(self, leaves: BoolArray) -> BoolArray:
-        """Which leaves are among the `leaves`, shape (k,), or share a side or a corner with one of them."""
-        found: BoolArray = _touching(self.code, self.side, self.corner, self.size, leaves)
+        found: IntArray = _find(self, cell)
         return found
 
 
-@njit(cache=True, nogil=True)
-def _write_centers(corner: IntArray, size: IntArray, origin: FloatArray, width: float, made: FloatArray) -> None:
-    for i in range(len(size)):
-        for k in range(2):
-            made[i, k] = origin[k] + (corner[i, k] + 0.5 * size[i]) * width
+_NONE = np.zeros(0, np.int64)
+NO_LEAVES = Quadtree(np.zeros(2), 1.0, np.zeros((0, 2), np.int64), _NONE, np.zeros(0), _NONE > 0, _NONE > 0, _NONE)
+"""A tree of nothing."""
+
+
+@lean()
+def side_of(tree: Quadtree) -> int:
+    """Width of the root in smallest cells: the last leaf in Morton order is its upper corner."""
+    return int(tree.corner[-1, 0] + tree.size[-1])
+
+
+@lean()
+def center_of(tree: Quadtree, leaf: int) -> tuple[float, float]:
+    """Where a leaf's centre is [m]."""
+    x, y = tree.corner[leaf, 0] + 0.5 * tree.size[leaf], tree.corner[leaf, 1] + 0.5 * tree.size[leaf]
+    return tree.origin[0] + x * tree.width, tree.origin[1] + y * tree.width
+
+
+@lean()
+def _write_centers(tree: Quadtree, made: FloatArray) -> None:
+    for leaf in range(len(tree.size)):
+        made[leaf, 0], made[leaf, 1] = center_of(tree, leaf)
 
 
 @njit(cache=True, nogil=True)
-def _touching(code: IntArray, side: int, corner: IntArray, size: IntArray, leaves: BoolArray) -> BoolArray:
+def touching(tree: Quadtree, leaves: BoolArray) -> BoolArray:
+    """Which leaves are among the `leaves`, shape (k,), or share a side or a corner with one of them."""
     found = np.zeros(len(leaves), np.bool_)
     for i in np.flatnonzero(leaves):
-        for j in _within(code, side, corner[i] - 0.5, corner[i] + size[i] + 0.5):
+        for j in _within(tree, tree.corner[i] - 0.5, tree.corner[i] + tree.size[i] + 0.5):
             found[j] = True
     return found
 
 
 @njit(cache=True, nogil=True)
-def _find(code: IntArray, side: int, cell: IntArray) -> IntArray:
+def _find(tree: Quadtree, cell: IntArray) -> IntArray:
     """See `Quadtree.find_cell`."""
-    leaf = np.searchsorted(code, morton(cell), side="right") - 1
+    side, leaf = side_of(tree), np.searchsorted(tree.code, morton(cell), side="right") - 1
     for i in range(len(cell)):
         if not (0 <= cell[i, 0] < side and 0 <= cell[i, 1] < side):
             leaf[i] = -1
@@ -136,21 +142,19 @@ def _find(code: IntArray, side: int, cell: IntArray) -> IntArray:
 
 
 @njit(cache=True, nogil=True)
-def _find_one(
-    code: IntArray, corner: IntArray, size: IntArray, origin: FloatArray, width: float, xy: FloatArray
-) -> int:
+def _find_one(tree: Quadtree, xy: FloatArray) -> int:
     """See `Quadtree.find_one`."""
     cell = np.empty((1, 2), np.int64)
     for k in range(2):
-        cell[0, k] = int(np.floor((xy[k] - origin[k]) / width))
-    return int(_find(code, corner[-1, 0] + size[-1], cell)[0])
+        cell[0, k] = int(np.floor((xy[k] - tree.origin[k]) / tree.width))
+    return int(_find(tree, cell)[0])
 
 
 @njit(cache=True, nogil=True)
-def _within(code: IntArray, side: int, low: FloatArray, high: FloatArray) -> IntArray:
+def _within(tree: Quadtree, low: FloatArray, high: FloatArray) -> IntArray:
     """Leaves that meet a box of smallest cells: down from the root; a square of n × n cells is n² codes in a row."""
     found = [0 for _ in range(0)]
-    stack = [(0, 0, side, 0, len(code))]
+    stack = [(0, 0, side_of(tree), 0, len(tree.code))]
     while len(stack) > 0:
         i, j, n, first, last = stack.pop()
         if i >= high[0] or j >= high[1] or i + n <= low[0] or j + n <= low[1]:
@@ -158,7 +162,7 @@ def _within(code: IntArray, side: int, low: FloatArray, high: FloatArray) -> Int
         if last - first == 1:
             found.append(first)
             continue
-        h, ends = n // 2, quarters(code, n, first, last)
+        h, ends = n // 2, quarters(tree.code, n, first, last)
         for k in range(4):
             stack.append((i + (k >> 1) * h, j + (k & 1) * h, h, ends[k], ends[k + 1]))
     return np.array(found)
@@ -186,75 +190,54 @@ def root_of(surface: HeightMap) -> tuple[FloatArray, int]:
     return corner * width, max(0, int(np.ceil(np.log2(side))))
 
 
-def build_quadtree(surface: HeightMap, obstacles: Tree, radius: float) -> Quadtree:
-    """The tree over a level's ground, of a body whose centre keeps a `radius` [m] from all `obstacles` in plan [m]."""
-    none = np.zeros(0, np.int64)
-    nothing = np.zeros((0, 2), np.int64), none, np.zeros(0), np.zeros(0, np.uint8), none
-    return _grow(nothing, surface, obstacles, radius, None, turned(surface, surface))
-
-
+Former = tuple[Quadtree, Tree | None, Cells]
+"""The tree of the version before, the obstacles that came or went since [m], if any did, and which cells became known
+or unknown, see `turned`."""
 ROUNDING = 1e-9
 """[m] Far more than two ways to compute a distance differ by, far less than matters."""
 
 
-def change_quadtree(
-    old: Quadtree, surface: HeightMap, obstacles: Tree, radius: float, places: Tree | None, felt: Cells
-) -> Quadtree:
-    """The tree that `build_quadtree` makes, from the one before.
+def build_quadtree(surface: HeightMap, obstacles: Tree, radius: float, former: Former | None = None) -> Quadtree:
+    """The tree over a level's ground, of a body whose centre keeps a `radius` [m] from all `obstacles` in plan [m].
 
-    A node's distance to the obstacles is another only if a place that changed is as near as its old distance, which a
-    leaf knows, and which is less than the radius and half the diagonal where the node was split; that of what is in it
-    is at most half a diagonal more, from a centre half a diagonal nearer. All else is copied.
-
-    The `places` are the obstacles that came or went [m], if any did; `felt` says which cells became known or unknown,
-    see `turned`.
+    What it is in a `former` version is copied from there. A node's distance to the obstacles is another only if a place
+    that changed is as near as its old distance, which a leaf knows, and which is less than the radius and half the
+    diagonal where the node was split; that of what is in it is at most half a diagonal more, from a centre half a
+    diagonal nearer.
     """
-    corner, depth = root_of(surface)
-    if (corner != old.origin).any() or old.side != 1 << depth:
-        return build_quadtree(surface, obstacles, radius)
-    state = old.free.astype(np.uint8) + old.whole
-    return _grow((old.corner, old.size, old.clearance, state, old.code), surface, obstacles, radius, places, felt)
-
-
-Leaves = tuple[IntArray, IntArray, FloatArray, NDArray[np.uint8], IntArray]
-"""Corner, size, clearance, state (0 blocked, 1 centre free, 2 whole) and Morton code of the leaves of a tree."""
-
-
-def _grow(
-    old: Leaves, surface: HeightMap, obstacles: Tree, radius: float, places: Tree | None, felt: Cells
-) -> Quadtree:
     width, (origin, depth) = least_width(surface), root_of(surface)
-    corner, size, clearance, state = _split(
-        old,
-        (obstacles, obstacles if places is None else places, places is not None),
-        (origin, width, depth, radius),
-        surface.arrays,
-        felt,
-    )
-    return Quadtree(origin, width, corner, size, clearance, state > 0, state == 2, morton(corner))
+    if former is None or (origin != former[0].origin).any() or side_of(former[0]) != 1 << depth:
+        former = NO_LEAVES, None, turned(surface, surface)
+    old, places, felt = former
+    trees = obstacles, obstacles if places is None else places, places is not None
+    made = _split(old, trees, (origin, width, depth, radius), surface.arrays, felt)
+    return Quadtree(origin, width, *made, morton(made[0]))
+
+
+_Leaves = tuple[IntArray, IntArray, FloatArray, BoolArray, BoolArray]
+"""Corner, size and clearance of leaves, whether they are free, and wholly: see `Quadtree`."""
 
 
 @njit(cache=True, nogil=True)
 def _split(
-    old: Leaves,
+    old: Quadtree,
     trees: tuple[Tree, Tree, bool],
     measures: tuple[FloatArray, float, int, float],
     ground: Cells,
     felt: Cells,
-) -> tuple[IntArray, IntArray, FloatArray, NDArray[np.uint8]]:
-    """Corner, size, clearance and state of the leaves, in Morton order; what is as it was is copied from `old`.
+) -> _Leaves:
+    """The leaves in Morton order; what is as it was is copied from `old`.
 
     A node's `first` is its first old leaf, or −1 where there was none inside.
     """
-    corner_was, size_was, clearance_was, state_was, code_was = old
     obstacles, places, moved = trees
     origin, width, depth, radius = measures
     rows, columns = _sides(felt, origin, width)
-    capacity, count = len(size_was) + _MORE, 0
-    corner, size = np.empty((capacity, 2), np.int64), np.empty(capacity, np.int64)
-    clearance, state = np.empty(capacity), np.empty(capacity, np.uint8)
+    capacity, count = len(old.size) + _MORE, 0
+    corner, size, clearance = np.empty((capacity, 2), np.int64), np.empty(capacity, np.int64), np.empty(capacity)
+    free, whole = np.empty(capacity, np.bool_), np.empty(capacity, np.bool_)
     stack, bound = np.empty((4 * depth + 4, 4), np.int64), np.empty(4 * depth + 4)
-    stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = 0, 0, 1 << depth, 0 if len(size_was) > 0 else -1
+    stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = 0, 0, 1 << depth, 0 if len(old.size) > 0 else -1
     bound[0] = -np.inf if moved else np.inf  # a place that changed is no nearer to the node's centre
     top, x, scratch = 1, np.empty(2), make_scratch()
     while top > 0:
@@ -263,25 +246,24 @@ def _split(
         nearest = bound[top]
         x[0], x[1] = origin[0] + (i + 0.5 * n) * width, origin[1] + (j + 0.5 * n) * width
         half_diagonal = 0.5 * sqrt(2.0) * n * width
-        leaf = first >= 0 and size_was[first] == n
+        leaf = first >= 0 and old.size[first] == n
         split, copied = False, False
         if first >= 0:
-            reach = (clearance_was[first] if leaf else radius + half_diagonal) + ROUNDING
+            reach = (old.clearance[first] if leaf else radius + half_diagonal) + ROUNDING
             if nearest <= reach:
                 nearest = nearest_at(places, place_of(x), scratch)[0]
             split = not leaf and nearest > reach
             copied = leaf and nearest > reach and not is_known(felt, x[0], x[1])
             if split and nearest > reach + 2.0 * half_diagonal and (_apart(i, n, rows) or _apart(j, n, columns)):
-                last = np.searchsorted(code_was, code_was[first] + n * n)
-                more = last - first
-                if count + more > len(size):
-                    corner, size, clearance, state = _with_room(corner, size, clearance, state, 2 * (count + more))
-                corner[count : count + more], size[count : count + more] = corner_was[first:last], size_was[first:last]
-                clearance[count : count + more] = clearance_was[first:last]
-                state[count : count + more] = state_was[first:last]
-                count += more
+                last = np.searchsorted(old.code, old.code[first] + n * n)
+                begin, count = count, count + last - first
+                if count > len(size):
+                    corner, size, clearance, free, whole = _with_room(corner, size, clearance, free, whole, 2 * count)
+                corner[begin:count], size[begin:count] = old.corner[first:last], old.size[first:last]
+                clearance[begin:count] = old.clearance[first:last]
+                free[begin:count], whole[begin:count] = old.free[first:last], old.whole[first:last]
                 continue
-        distance = clearance_was[first] if copied else 0.0
+        distance = old.clearance[first] if copied else 0.0
         if not split and not copied:
             distance = nearest_at(obstacles, place_of(x), scratch)[0]
             split = is_split(distance, half_diagonal, radius, n)
@@ -291,21 +273,22 @@ def _split(
                 stack[top, 0], stack[top, 1], stack[top, 2] = i + (k >> 1) * h, j + (k & 1) * h, h
                 stack[top, 3] = -1
                 if first >= 0 and not leaf:
-                    stack[top, 3] = np.searchsorted(code_was, code_was[first] + k * h * h)
+                    stack[top, 3] = np.searchsorted(old.code, old.code[first] + k * h * h)
                 bound[top] = nearest - 0.5 * half_diagonal
                 top += 1
             continue
         if count == len(size):
-            corner, size, clearance, state = _with_room(corner, size, clearance, state, 2 * count)
+            corner, size, clearance, free, whole = _with_room(corner, size, clearance, free, whole, 2 * count)
         corner[count, 0], corner[count, 1], size[count], clearance[count] = i, j, n, distance
         if copied:
-            state[count] = state_was[first]
+            free[count], whole[count] = old.free[first], old.whole[first]
         else:
-            state[count] = state_of(distance, half_diagonal, radius, is_known(ground, x[0], x[1]))
+            free[count], whole[count] = is_free(distance, half_diagonal, radius, is_known(ground, x[0], x[1]))
         count += 1
     if len(size) > capacity:  # it grew: much room may be left
-        return corner[:count].copy(), size[:count].copy(), clearance[:count].copy(), state[:count].copy()
-    return corner[:count], size[:count], clearance[:count], state[:count]
+        corner, size, clearance = corner[:count].copy(), size[:count].copy(), clearance[:count].copy()
+        free, whole = free[:count].copy(), whole[:count].copy()
+    return corner[:count], size[:count], clearance[:count], free[:count], whole[:count]
 
 
 _MORE = 1 << 14
@@ -314,9 +297,15 @@ _MORE = 1 << 14
 
 @njit(cache=True, nogil=True)
 def _with_room(
-    corner: IntArray, size: IntArray, clearance: FloatArray, state: NDArray[np.uint8], capacity: int
-) -> tuple[IntArray, IntArray, FloatArray, NDArray[np.uint8]]:
-    return longer(corner, capacity), longer(size, capacity), longer(clearance, capacity), longer(state, capacity)
+    corner: IntArray, size: IntArray, clearance: FloatArray, free: BoolArray, whole: BoolArray, capacity: int
+) -> _Leaves:
+    return (
+        longer(corner, capacity),
+        longer(size, capacity),
+        longer(clearance, capacity),
+        longer(free, capacity),
+        longer(whole, capacity),
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -326,9 +315,9 @@ def is_split(distance: float, half_diagonal: float, radius: float, n: int) -> bo
 
 
 @njit(cache=True, nogil=True)
-def state_of(distance: float, half_diagonal: float, radius: float, seen: bool) -> int:
-    """Of a leaf: 0 blocked, 1 free at its centre, 2 wholly."""
-    return 0 if not seen or distance < radius else (2 if distance - half_diagonal >= radius else 1)
+def is_free(distance: float, half_diagonal: float, radius: float, seen: bool) -> tuple[bool, bool]:
+    """Whether a leaf is free at its centre, and wholly."""
+    return seen and distance >= radius, seen and distance - half_diagonal >= radius
 
 
 @njit(cache=True, nogil=True)

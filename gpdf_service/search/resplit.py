@@ -14,11 +14,11 @@ from gpdf_service.fields.traversal import nearest_at
 from gpdf_service.fields.tree import make_scratch, place_of
 from gpdf_service.search.layered import Layered
 from gpdf_service.search.places import Places, distance_at
-from gpdf_service.search.quadtree import ROUNDING, Quadtree, is_split, quarters, state_of
+from gpdf_service.search.quadtree import ROUNDING, Quadtree, is_free, is_split, quarters, side_of
 from gpdf_service.tiles import HeightMap
 from gpdf_service.tiles.rows import is_among
 from gpdf_service.tiles.surface import Cells, is_known
-from gpdf_service.types import BoolArray, ByteArray, FloatArray, IntArray
+from gpdf_service.types import BoolArray, FloatArray, IntArray
 
 FELT = 5.0
 """[-] Times the body's radius: obstacles further from a leaf's centre are felt by nobody, see `ways.WIDE`."""
@@ -54,11 +54,6 @@ class SplitQuadtree:
     def width(self) -> float:
         """Width of the smallest cell [m]."""
         return self.standing.width
-
-    @property
-    def side(self) -> int:
-        """Width of the root in smallest cells."""
-        return self.standing.side
 
     corner = _both("corner")
     size = _both("size")
@@ -112,8 +107,6 @@ class SplitQuadtree:
         return np.concatenate([found[~is_among(found, self.gone)], self.start + np.flatnonzero(meets)])
 
 
-Measures = tuple[FloatArray, float, float]
-"""Lower corner of the root, width of the smallest cells, and the body's radius [m]."""
 Leaves = Quadtree | SplitQuadtree
 """What tells leaves by their numbers."""
 
@@ -130,21 +123,18 @@ def split_again(tree: Quadtree, surface: HeightMap, places: Places, radius: floa
     A leaf is touched if a moving place is so near to its centre that it would be split, blocked, or less roomy than it
     was, where that is felt. The tree is that of what stands, a body's centre keeps a `radius` [m] from all places.
     """
-    own = tree.origin, tree.width, radius
-    gone = _touched((tree.clearance, tree.free, tree.whole, tree.code), tree.side, places, own)
-    made = _split_leaves(tree.corner[gone], tree.size[gone], places, own, surface.arrays)
-    corner, size, clearance, state = made
-    return gone, Quadtree(tree.origin, tree.width, corner, size, clearance, state > 0, state == 2, morton(corner))
+    gone = _touched(tree, places, radius)
+    corner, size, clearance, whole = _split_leaves(tree, gone, places, radius, surface.arrays)
+    free = np.ones(len(size), dtype=bool)
+    return gone, Quadtree(tree.origin, tree.width, corner, size, clearance, free, whole, morton(corner))
 
 
 @njit(cache=True, nogil=True)
-def _touched(
-    leaves: tuple[FloatArray, BoolArray, BoolArray, IntArray], side: int, places: Places, measures: Measures
-) -> IntArray:
+def _touched(tree: Quadtree, places: Places, radius: float) -> IntArray:
     """See `split_again`; down from the root, where something may be near enough."""
-    (clearance, free, whole, code), (origin, width, radius) = leaves, measures
+    origin, width, clearance, free = tree.origin, tree.width, tree.clearance, tree.free
     found, scratch, x = [0 for _ in range(0)], make_scratch(), np.empty(2)
-    stack = [(0, 0, side, 0, len(code), -np.inf)]
+    stack = [(0, 0, side_of(tree), 0, len(tree.code), -np.inf)]
     while len(stack) > 0:
         i, j, n, first, last, near = stack.pop()  # what moves is as near as that, at least
         half_diagonal, is_leaf = 0.5 * sqrt(2.0) * n * width, last - first == 1
@@ -152,7 +142,7 @@ def _touched(
         reach = felt + half_diagonal
         if is_leaf:
             reach = min(clearance[first], felt) if free[first] else -np.inf
-            if free[first] and not whole[first]:  # its edges are proven by obstacles that near to places in it
+            if free[first] and not tree.whole[first]:  # its edges are proven by obstacles that near to places in it
                 reach = max(reach, radius + 2.2 * half_diagonal)
         if near >= reach:
             continue
@@ -163,7 +153,7 @@ def _touched(
         if is_leaf:
             found.append(first)
             continue
-        h, ends, near = n // 2, quarters(code, n, first, last), near - 0.5 * half_diagonal - ROUNDING
+        h, ends, near = n // 2, quarters(tree.code, n, first, last), near - 0.5 * half_diagonal - ROUNDING
         for k in range(4):
             stack.append((i + (k >> 1) * h, j + (k & 1) * h, h, ends[k], ends[k + 1], near))
     return np.sort(np.array(found))
@@ -171,15 +161,14 @@ def _touched(
 
 @njit(cache=True, nogil=True)
 def _split_leaves(
-    corner: IntArray, size: IntArray, places: Places, measures: Measures, ground: Cells
-) -> tuple[IntArray, IntArray, FloatArray, ByteArray]:
-    """Corner, size, clearance and state of the free leaves in these leaves, in Morton order."""
-    origin, width, radius = measures
-    found, state = [(0, 0, 0, 0.0) for _ in range(0)], [0 for _ in range(0)]
-    scratch, x = make_scratch(), np.empty(2)
+    tree: Quadtree, leaves: IntArray, places: Places, radius: float, ground: Cells
+) -> tuple[IntArray, IntArray, FloatArray, BoolArray]:
+    """Corner, size, clearance of the free leaves in these leaves, and which are wholly free, in Morton order."""
+    origin, width = tree.origin, tree.width
+    found, scratch, x = [(0, 0, 0, 0.0, True) for _ in range(0)], make_scratch(), np.empty(2)
     stack = [(0, 0, 0) for _ in range(0)]
-    for leaf in range(len(size)):
-        stack.append((corner[leaf, 0], corner[leaf, 1], size[leaf]))
+    for leaf in leaves:
+        stack.append((tree.corner[leaf, 0], tree.corner[leaf, 1], tree.size[leaf]))
         while len(stack) > 0:
             i, j, n = stack.pop()
             x[0], x[1] = origin[0] + (i + 0.5 * n) * width, origin[1] + (j + 0.5 * n) * width
@@ -193,11 +182,11 @@ def _split_leaves(
                 for k in range(3, -1, -1):
                     stack.append((i + (k >> 1) * h, j + (k & 1) * h, h))
                 continue
-            free = state_of(distance, half_diagonal, radius, is_known(ground, x[0], x[1]))
-            if free > 0:
-                found.append((i, j, n, distance))
-                state.append(free)
-    corners, sizes, room = np.empty((len(found), 2), np.int64), np.empty(len(found), np.int64), np.empty(len(found))
+            free, wholly = is_free(distance, half_diagonal, radius, is_known(ground, x[0], x[1]))
+            if free:
+                found.append((i, j, n, distance, wholly))
+    corner, size = np.empty((len(found), 2), np.int64), np.empty(len(found), np.int64)
+    room, whole = np.empty(len(found)), np.empty(len(found), np.bool_)
     for k in range(len(found)):
-        corners[k, 0], corners[k, 1], sizes[k], room[k] = found[k]
-    return corners, sizes, room, np.array(state, dtype=np.uint8)
+        corner[k, 0], corner[k, 1], size[k], room[k], whole[k] = found[k]
+    return corner, size, room, whole

@@ -18,8 +18,8 @@ from numba import njit
 from numba.typed import List
 from numpy.typing import NDArray
 
-from gpdf_service.fields import AnyField, FieldArrays
-from gpdf_service.fields.traversal import NearerArrays, nearest_only
+from gpdf_service.fields import NearerArrays
+from gpdf_service.fields.traversal import nearest_only
 from gpdf_service.fields.tree import Scratch, make_scratch
 from gpdf_service.ground import ObstacleKind
 from gpdf_service.kernel_cache import lean
@@ -27,7 +27,6 @@ from gpdf_service.search.core import Core
 from gpdf_service.search.free_space import NOTICED_STEP, FreeSpace, LevelSpace
 from gpdf_service.search.graph import Edges, Graph, assemble
 from gpdf_service.search.landmarks import find_landmarks
-from gpdf_service.search.layered import below
 from gpdf_service.search.places import Places, nearest_of
 from gpdf_service.search.resplit import FELT
 from gpdf_service.tiles.rows import is_among, rows_among
@@ -106,7 +105,7 @@ def beside(space: FreeSpace, level: int, prefer: Prefer = Prefer.COMPANION) -> B
     return Beside(own.places, own.kind, own.surface.arrays, own.noticed, own.steps, own.slopes, *limits)
 
 
-Fields = tuple[AnyField, FieldArrays]
+Fields = tuple[NearerArrays, NearerArrays]
 """d_o, 2D, and d_g, 3D, in compiled form."""
 
 
@@ -144,7 +143,7 @@ def fields_of(space: FreeSpace, level: int, *, exact: bool = False) -> Sequence[
     key = Fields, level, exact
     if key not in space.boxes:
         own = space.levels[level]
-        obstacles = NearerArrays(*map(nearest_only, own.places)) if exact else own.obstacle_field.arrays
+        obstacles = tuple(map(nearest_only, own.places)) if exact else own.obstacle_field.arrays
         space.boxes[key] = boxed((obstacles, own.ground_field.arrays))
     box: Sequence[Fields] = space.boxes[key]
     return box
@@ -336,8 +335,7 @@ def find_ways(able: FreeSpace, level: FreeSpace | None, prefer: Prefer, stand: W
     seconds[dear] = _seconds(able, (position, on, room, unseen), asked, prefer) + through
     graph = assemble(position, on, edges, seconds)
     if stand is None:
-        landmarks = find_landmarks(graph.first, below(graph.other), below(graph.cost), below(graph.component))
-        graph = replace(graph, landmarks=landmarks)
+        graph = graph._replace(landmarks=find_landmarks(graph.first, graph.other, graph.cost, graph.component))
     priced = Priced(node, leaf, room, unseen, edge, seconds)
     return Ways(spaces, prefer, graph, float(prices(able.agent, prefer)[LENGTH]), priced)
 
@@ -373,10 +371,10 @@ def _keys(numbers: Sequence[IntArray]) -> IntArray:
 
 def _edges_of(core: Core, first: int) -> tuple[IntArray, IntArray, FloatArray]:
     """Each edge of a core once: its number, its ends as nodes from the `first` on, and where it crosses."""
-    row, other = np.repeat(np.arange(len(core.node)), np.diff(core.graph.first)), below(core.graph.other)
+    row, other = np.repeat(np.arange(len(core.node)), np.diff(core.graph.first)), core.graph.other
     once = np.flatnonzero(row < other)
     pairs = first + np.column_stack([row[once], other[once]])
-    return core.edge[once], pairs, below(core.graph.via).take(once, axis=0)
+    return core.edge[once], pairs, core.graph.via.take(once, axis=0)
 
 
 def _on_levels(space: FreeSpace, level: IntArray) -> Iterator[tuple[LevelSpace, IntArray]]:
@@ -387,7 +385,7 @@ def _on_levels(space: FreeSpace, level: IntArray) -> Iterator[tuple[LevelSpace, 
 def _of_leaves(space: FreeSpace, name: str, rows: IntArray) -> FloatArray:
     """A measure of the leaves of some nodes of a space's core, shape (k,)."""
     node, made = space.core.node[rows], np.empty(len(rows))
-    for own, here in _on_levels(space, below(space.core.graph.level)[rows]):
+    for own, here in _on_levels(space, space.core.graph.level[rows]):
         made[here] = getattr(own.quadtree, name)[node[here] - own.offset]
     return made
 

@@ -77,7 +77,7 @@ def test_a_change_gives_what_a_build_gives() -> None:
         after[x : x + 12, y : y + 9] = rng.choice([np.nan, 41.0]) + 0.01 * rng.integers(0, 3)
         field, before = fit_lattice(lattice(after), Everywhere(), (field, lattice(before))), after
         built = fit_lattice(lattice(after), Everywhere())
-        for one, another in zip(field.arrays, built.arrays, strict=True):
+        for one, another in zip(*field.arrays, *built.arrays, strict=True):
             np.testing.assert_array_equal(one, another)
 
 
@@ -111,7 +111,7 @@ def test_a_box_of_a_grid_that_moves_takes_over_what_is_out_of_reach_of_its_new_s
         marked = Gpdf(field.tree, np.full_like(field.alpha, 7.0), field.discs, field.noise, field.kernel, field.domain)
         assert 0.05 < (fit_lattice(after, Everywhere(), (marked, before)).alpha == 7.0).mean() < 0.95
         field, before = fit_lattice(after, Everywhere(), (field, before)), after
-        for one, another in zip(field.arrays, fit_lattice(after, Everywhere()).arrays, strict=True):
+        for one, another in zip(*field.arrays, *fit_lattice(after, Everywhere()).arrays, strict=True):
             np.testing.assert_array_equal(one, another)
 
 

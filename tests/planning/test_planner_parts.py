@@ -245,7 +245,7 @@ def test_strictly_there_is_a_wall_as_far_off_as_what_a_chord_cuts_from_a_turn(ro
     monkeypatch.setattr(planner, "bend", lambda *args: asked.append(args) or bend(*args))
     for strict in (False, True):
         planner._bend(two_legs(space)[0], CONFIG, strict, np.inf)
-    assert [bent_by[0][0].standing.weights.any() for _, _, bent_by, _ in asked] == [True, False]  # the GPDF, the points
+    assert [bent_by[0][0][0].weights.any() for _, _, bent_by, _ in asked] == [True, False]  # the GPDF, the points
     apart = max(CONFIG.waypoint_spacing, CONFIG.smoothness_weight(HUMAN.disc_radius))
     soft, hard = (bending.discs.radius for *_, bending in asked)
     assert soft == space.reach

@@ -11,7 +11,7 @@ from gpdf_service.fields.tree import build_tree, change_tree
 from gpdf_service.search.change import rows_in_tree
 from gpdf_service.search.graph import change_edges, find_edges, same_leaves
 from gpdf_service.search.places import Places
-from gpdf_service.search.quadtree import build_quadtree, change_quadtree, root_of
+from gpdf_service.search.quadtree import build_quadtree, root_of
 from gpdf_service.tiles.rows import rows_in_cells
 from gpdf_service.tiles.surface import HeightMap, cropped, turned
 
@@ -37,7 +37,7 @@ def assert_same(surface_was, places_was, surface, places):
     around = build_tree(moved) if len(moved) else None
     trees = build_tree(places_was), build_tree(places)
     old = build_quadtree(surface_was, trees[0], RADIUS)
-    tree = change_quadtree(old, surface, trees[1], RADIUS, around, turned(surface_was, surface))
+    tree = build_quadtree(surface, trees[1], RADIUS, (old, around, turned(surface_was, surface)))
     built = build_quadtree(surface, trees[1], RADIUS)
     for key in ("corner", "size", "free", "whole"):
         np.testing.assert_array_equal(getattr(tree, key), getattr(built, key), err_msg=key)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 import gpdf_service as gpdf
-from gpdf_service.search.core import NARROW, climb, find_core, find_nodes, links_of, search_in
+from gpdf_service.search.core import NARROW, climb, find_core, find_nodes, search_in
 from gpdf_service.search.free_space import core_of
 from gpdf_service.search.graph import assemble, find_path, price_pairs
 from gpdf_service.search.quadtree import MIN_WIDTH
@@ -105,7 +105,7 @@ def grid_of(clearance):
     free = np.ones(clearance.size, dtype=bool)
     cost = price_pairs(place, clearance.ravel(), (pairs, via), 0.3)
     graph = assemble(place, np.zeros(clearance.size, np.int64), (pairs, via), cost)
-    return graph, free, links_of(graph, free, np.full(clearance.size, 0.05), clearance.ravel())
+    return graph, free, np.full(clearance.size, 0.05), clearance.ravel()
 
 
 def test_a_decision_that_changes_is_asked_for_again_wherever_it_matters():

@@ -1,6 +1,5 @@
 """Edges, prices and ways of the graph against every pair of leaves, and against Dijkstra's."""
 
-from dataclasses import replace
 from itertools import combinations, product
 
 import numpy as np
@@ -22,15 +21,15 @@ from gpdf_service.search.graph import (
     find_edges,
     find_path,
     find_way,
-    place_of_node,
-    price_edges,
+    net_of,
     price_pairs,
     same_leaves,
 )
 from gpdf_service.search.landmarks import find_landmarks
+from gpdf_service.search.layered import Layered
 from gpdf_service.search.moved import around, patched
 from gpdf_service.search.places import Places
-from gpdf_service.search.quadtree import build_quadtree, change_quadtree
+from gpdf_service.search.quadtree import build_quadtree
 from gpdf_service.tiles.surface import HeightMap, turned
 
 
@@ -108,24 +107,20 @@ def test_a_graph_has_every_edge_from_both_ends_with_its_price_and_its_component(
         rows = slice(graph.first[node], graph.first[node + 1])
         mine = zip(graph.other[rows].tolist(), *graph.via[rows].T.tolist(), graph.cost[rows].tolist(), strict=True)
         np.testing.assert_allclose(sorted(mine), sorted(own), atol=1e-12)
-    ends = np.stack([graph.position[pairs[:, 0]], graph.position[pairs[:, 1]]], axis=1)
-    one_by_one = [row[-1] for node, own in enumerate(expected) for row in own if row[0] > node]
-    both = price_edges(ends, via, clearance[pairs], 0.2)
-    np.testing.assert_allclose(sorted(both), sorted(one_by_one), atol=1e-12)
     count, part = connected_components(csr_matrix((np.ones(len(pairs)), pairs.T), shape=2 * [len(graph.position)]))
     assert len(set(zip(part.tolist(), graph.component.tolist(), strict=True))) == count == len(set(graph.component))
 
 
 def rows_of(graph, node):
     """Number, far end and cost of each edge of a node."""
-    numbers = range(*edges_of(graph.net, node))
+    numbers = range(*edges_of(net_of(graph), node))
     return [(e, int(graph.other[e]), float(graph.cost[e])) for e in numbers]
 
 
-def cheapest(graph, begin, end, gone=()):
+def cheapest(graph, begin, end):
     """What the cheapest way costs, by Dijkstra's from a node before all begins to one behind all ends."""
     count, rows = len(graph.position), []
-    for node in set(range(count)) - set(gone):
+    for node in range(count):
         rows += [(node, other, cost) for _, other, cost in rows_of(graph, node)]
     rows += [(count, node, cost + 1.0) for node, cost in zip(begin.node.tolist(), begin.cost, strict=True)]
     rows += [(node, count + 1, cost + 1.0) for node, cost in zip(end.node.tolist(), end.cost, strict=True)]
@@ -146,19 +141,19 @@ def spent(graph, begin, end, node, edges):
     return cost + end.cost[end.node == at].min()
 
 
-def doors(rng, graph, goal, rate, gone=()):
-    nodes = rng.choice(sorted(set(range(len(graph.position))) - set(gone)), rng.integers(1, 4))
+def doors(rng, graph, goal, rate):
+    nodes = rng.choice(len(graph.position), rng.integers(1, 4))
     far = np.linalg.norm(graph.position[nodes] - goal, axis=1)
     return Doors(nodes, rate * far * rng.uniform(1.0, 1.5, len(nodes)))
 
 
-def compare(graph, rng, rate, gone=()):
+def compare(graph, rng, rate):
     """Some ways by A* and Dijkstra's: how many there are, and how many are none."""
     found = [0, 0]
     for _ in range(15):
         goal, start = rng.uniform(-2.0, 2.0, (2, 2))
-        begin, end = doors(rng, graph, start, rate, gone), doors(rng, graph, goal, rate, gone)
-        least = cheapest(graph, begin, end, gone)
+        begin, end = doors(rng, graph, start, rate), doors(rng, graph, goal, rate)
+        least = cheapest(graph, begin, end)
         node, edges = find_way(graph, begin, end, goal, rate)
         found[int(node < 0)] += 1
         if node < 0:
@@ -174,9 +169,9 @@ def compare(graph, rng, rate, gone=()):
 def test_a_way_is_the_cheapest_from_any_begin_to_any_end_and_none_where_there_is_none(seed, rate):
     rng = np.random.default_rng(seed)
     graph = random_graph(rng, edges=[30, 60][seed % 2])[0]
-    graph = replace(graph, cost=graph.cost * rate)
+    graph = graph._replace(cost=graph.cost * rate)
     assert compare(graph, rng, rate)[0] > 0
-    known = replace(graph, landmarks=find_landmarks(graph.first, graph.other, graph.cost, graph.component))
+    known = graph._replace(landmarks=find_landmarks(graph.first, graph.other, graph.cost, graph.component))
     compare(known, rng, rate)
 
 
@@ -190,7 +185,7 @@ def test_some_ways_are_none():
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_with_a_patch_a_way_goes_over_fresh_nodes_and_never_over_those_that_are_gone(seed):
+def test_with_a_patch_edges_lead_to_fresh_nodes_and_never_to_those_that_are_gone(seed):
     rng = np.random.default_rng(seed)
     graph = random_graph(rng, edges=80)[0]
     count, fresh = len(graph.position), 6
@@ -200,14 +195,28 @@ def test_with_a_patch_a_way_goes_over_fresh_nodes_and_never_over_those_that_are_
     pairs = {(int(rng.choice(stay)), count + int(k)) for k in rng.integers(0, fresh, 12)}
     pairs |= {(count + k, count + k + 1) for k in range(0, fresh - 1, 2)}
     pairs = np.array(sorted(pairs))
-    via, clearance = rng.uniform(-2.0, 2.0, (len(pairs), 2)), rng.uniform(0.2, 0.7, (len(pairs), 2))
-    made = patched(graph, around(graph, gone), nodes, (pairs, via), clearance, 0.2)
-    for node in range(count + fresh):
-        assert place_of_node(graph.position, made.patch, node) == tuple(made.position[node].tolist())
+    via, clearance = rng.uniform(-2.0, 2.0, (len(pairs), 2)), rng.uniform(0.2, 0.7, count + fresh)
+    room = Layered(clearance[:count], clearance[count:])
+    made = patched(graph, around(graph, gone), nodes, (pairs, via), room, 0.2)
+    for pair, at in zip(pairs.tolist(), via, strict=True):
+        (cost,) = {made.cost[e] for e, other, _ in rows_of(made, pair[0]) if other == pair[1]}
+        assert cost == pytest.approx(price(*made.position[pair], at, clearance[pair].min(), 0.2))
     assert {other for node in stay for _, other, _ in rows_of(made, node)} & set(gone.tolist()) == set()
     fresh_edges = [(n, o) for n in range(count, count + fresh) for _, o, _ in rows_of(made, n)]
     assert sorted(fresh_edges) == sorted((a, b) for p in pairs.tolist() for a, b in (p, p[::-1]) if a >= count)
-    assert compare(made, rng, 1.0, gone.tolist())[0] > 0
+    ends = {
+        (n, o): (*made.via[e].tolist(), c)
+        for n in [*stay, *range(count, count + fresh)]
+        for e, o, c in rows_of(made, n)
+    }
+    assert all(ends[o, n] == facts for (n, o), facts in ends.items())
+    kept = {(n, o): (*graph.via[e].tolist(), c) for n in stay for e, o, c in rows_of(graph, n) if o not in gone}
+    assert {pair: ends[pair] for pair in kept} == kept
+    alive, rows = np.append(stay, np.arange(count, count + fresh)), np.array(list(ends)).T
+    matrix = csr_matrix((np.ones(rows.shape[1]), rows), shape=2 * [count + fresh])
+    part = connected_components(matrix)[1][alive]
+    joined = set(zip(part.tolist(), made.component[alive].tolist(), strict=True))
+    assert len(joined) == len(set(part.tolist())) == len({label for _, label in joined})
 
 
 def test_from_a_node_to_itself_there_is_nothing_to_go():
@@ -232,7 +241,7 @@ def test_a_place_that_comes_beside_the_crossing_of_two_leaves_cuts_their_way_tho
             beside = side * np.array([-ahead[1], ahead[0]]) / half
             come = via[row] + beside * (radius - 0.25 * half**2 / radius)
             now = build_tree(np.vstack([places, come]))
-            tree = change_quadtree(old, surface, now, radius, build_tree(come[None]), turned(surface, surface))
+            tree = build_quadtree(surface, now, radius, (old, build_tree(come[None]), turned(surface, surface)))
             found = change_edges(edges, same_leaves(old, tree), tree, Places(now), radius, build_tree(come[None]))
             expected = find_edges(tree, Places(now), radius)
             np.testing.assert_array_equal(found[0], expected[0])

@@ -8,7 +8,6 @@ from gpdf_service.fields import build_tree
 from gpdf_service.planning import plan_path
 from gpdf_service.search.free_space import Setup, fit_obstacle_field, join_levels, level_space
 from gpdf_service.search.graph import find_edges
-from gpdf_service.search.layered import Layered
 from gpdf_service.search.places import Places
 from gpdf_service.search.quadtree import build_quadtree
 from gpdf_service.search.ways import Prefer, find_ways
@@ -98,7 +97,7 @@ def edges_from(graph, node):
     """Far end, crossing and cost of every edge of a node, as A* walks them."""
     row = graph.patch.row[node] if len(graph.patch.row) else 0
     if row == 0:
-        edges = np.arange(graph.first[node], graph.first[node + 1])
+        edges = np.arange(graph.standing.first[node], graph.standing.first[node + 1])
     else:
         edges = len(graph.other) - len(graph.patch.other) + np.arange(*graph.patch.first[row - 1 : row + 1])
     return graph.other[edges], graph.via[edges], graph.cost[edges]
@@ -174,9 +173,7 @@ def test_random_changes_equal_a_free_space_from_scratch(where, agent, request):
         if number % 4 == 0:
             assert_equal_spaces(ours, theirs, rng)
         assert_equal_fields(scene, ours, theirs, rng)
-        torn += isinstance(ours.graph.component, Layered) and ours.graph.component.below is not (
-            scene.free_space(agent).graph.component
-        )
+        torn += ours.graph.standing.component is not (scene.free_space(agent).graph.component)
         start, goal = a_place(scene, rng), a_place(scene, rng)
         result = gpdf.plan(now, start, goal, agent)
         mine, again = (plan_path(one, start, goal, scene.config.planning) for one in (ours, theirs))

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from gpdf_service.fields import build_tree
-from gpdf_service.search.quadtree import build_quadtree, change_quadtree, least_width
+from gpdf_service.search.quadtree import build_quadtree, least_width, side_of, touching
 from gpdf_service.tiles.surface import INFERRED, OBSERVED, UNKNOWN, HeightMap, turned
 
 MIN_WIDTH, CELL_SHARE, ANCHORED = 0.014, 0.2, 4096
@@ -76,7 +76,7 @@ def test_a_tree_is_the_one_that_is_split_node_by_node(seed):
     np.testing.assert_allclose(tree.center, tree.origin + tree.width * np.column_stack([i, j] + 0.5 * size[:, None].T))
     np.testing.assert_allclose(tree.half_size, 0.5 * tree.width * size)
     assert tree.numbers.tolist() == list(range(len(size)))
-    assert tree.side == (1 if len(size) == 1 else (i + size).max())
+    assert side_of(tree) == (1 if len(size) == 1 else (i + size).max())
     assert tree.standing is tree
 
 
@@ -87,7 +87,7 @@ def test_a_tree_of_very_many_leaves_is_whole():
     tree = build_quadtree(surface, build_tree(places), 0.06)
     assert len(tree.size) > 40_000
     np.testing.assert_array_equal(np.diff(tree.code), (tree.size**2)[:-1])
-    assert tree.code[-1] + tree.size[-1] ** 2 == tree.side**2
+    assert tree.code[-1] + tree.size[-1] ** 2 == side_of(tree) ** 2
     np.testing.assert_allclose(tree.clearance, cKDTree(places).query(tree.center)[0], atol=1e-12)
     inside = (tree.center < surface.origin + np.array([7.0, 6.4])).all(axis=1)
     inside &= (tree.center >= surface.origin).all(axis=1)
@@ -107,7 +107,7 @@ def test_a_map_of_one_small_cell_is_a_leaf_or_four(width):
 def test_every_place_finds_its_leaf_and_what_lies_outside_finds_none(seed):
     rng, surface, places, radius = scene_of(seed)
     tree = build_quadtree(surface, build_tree(places), radius)
-    wide = tree.side * tree.width
+    wide = side_of(tree) * tree.width
     xy = tree.origin + rng.uniform(-0.3, 1.3, (300, 2)) * wide
     corners = np.array([1e-9, wide - 1e-9, wide + 1e-9, -1e-9])[:, None]
     xy = np.concatenate([xy, tree.origin + corners])
@@ -121,7 +121,7 @@ def test_every_place_finds_its_leaf_and_what_lies_outside_finds_none(seed):
 def test_leaves_that_meet_a_square_and_those_that_touch_others(seed):
     rng, surface, places, radius = scene_of(seed)
     tree = build_quadtree(surface, build_tree(places), radius)
-    wide = tree.side * tree.width
+    wide = side_of(tree) * tree.width
     for _ in range(20):
         xy, reach = tree.origin + rng.uniform(-0.2, 1.2, 2) * wide, rng.choice([0.0, 0.03, 0.2, 5.0])
         gap, found = np.abs(tree.center - xy).max(axis=1) - tree.half_size, tree.within(xy, reach)
@@ -131,7 +131,7 @@ def test_leaves_that_meet_a_square_and_those_that_touch_others(seed):
     some = rng.random(len(tree.size)) < 0.1
     low, high = tree.corner, tree.corner + tree.size[:, None]
     meets = (low[:, None] <= high[None]).all(axis=-1) & (low[None] <= high[:, None]).all(axis=-1)
-    np.testing.assert_array_equal(tree.touching(some), (meets & some).any(axis=1))
+    np.testing.assert_array_equal(touching(tree, some), (meets & some).any(axis=1))
 
 
 @pytest.mark.parametrize("seed", range(24))
@@ -150,7 +150,7 @@ def test_a_tree_that_is_changed_is_the_one_that_is_built(seed):
     now, moved = np.concatenate([places[~gone], come]), np.concatenate([places[gone], come])
     after, tree = dataclasses.replace(surface, state=state), build_tree(now)
     around = build_tree(moved) if len(moved) else None
-    made = change_quadtree(old, after, tree, radius, around, turned(surface, after))
+    made = build_quadtree(after, tree, radius, (old, around, turned(surface, after)))
     assert_equal(made, build_quadtree(after, tree, radius))
 
 
@@ -166,7 +166,7 @@ def test_in_a_wide_hall_an_obstacle_that_comes_is_known_in_leaves_far_from_it(se
     surface = HeightMap(np.zeros(2), 0.25, np.zeros((160, 160), np.float32), np.full((160, 160), OBSERVED, np.uint8))
     places = rng.uniform(0.0, 40.0, (5, 2))
     old, tree = build_quadtree(surface, build_tree(places[1:]), 0.2), build_tree(places)
-    made = change_quadtree(old, surface, tree, 0.2, build_tree(places[:1]), turned(surface, surface))
+    made = build_quadtree(surface, tree, 0.2, (old, build_tree(places[:1]), turned(surface, surface)))
     assert_equal(made, build_quadtree(surface, tree, 0.2))
 
 
@@ -177,10 +177,10 @@ def test_what_a_change_is_far_from_is_copied_and_what_it_is_near_is_made_anew(wh
     surface = ground(rng, (40, 40), 0.1, unknown=0.0)
     places = surface.origin + rng.uniform(0.0, 4.0, (40, 2))
     old = build_quadtree(surface, build_tree(places), 0.12)
-    marked = dataclasses.replace(old, clearance=old.clearance - 1e-6)
+    marked = old._replace(clearance=old.clearance - 1e-6)
     come = surface.origin + 4.0 * where * np.ones((1, 2))
     tree = build_tree(np.concatenate([places, come]))
-    made = change_quadtree(marked, surface, tree, 0.12, build_tree(come), turned(surface, surface))
+    made = build_quadtree(surface, tree, 0.12, (marked, build_tree(come), turned(surface, surface)))
     exact, half = tree_distance(tree, made.center), np.sqrt(2.0) * made.half_size
     stays = np.abs(made.clearance - exact + 1e-6) < 1e-9
     far = np.linalg.norm(made.center - come, axis=1)

@@ -7,6 +7,7 @@ from gpdf_service.fields import build_tree, morton
 from gpdf_service.fields.tree import NO_POINTS
 from gpdf_service.search.graph import find_edges, find_path
 from gpdf_service.search.places import Places, is_clear, least_distance
+from gpdf_service.search.quadtree import touching
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +63,7 @@ def test_edges_are_symmetric_and_clear(space):
 def test_the_edges_of_some_leaves_are_those_of_all_that_have_one_of_them(space):
     tree, obstacles = space.levels[0].quadtree, space.levels[0].places
     some = np.random.default_rng(4).random(len(tree.size)) < 0.01
-    looking = np.flatnonzero(tree.free & tree.touching(some))
+    looking = np.flatnonzero(tree.free & touching(tree, some))
     pairs, via = find_edges(tree, obstacles, space.radius, looking, some.__getitem__)
     every, across = find_edges(tree, obstacles, space.radius)
     wanted = some[every].any(axis=1)
