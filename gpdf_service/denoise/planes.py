@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.denoise.cells import AROUND, Cells, begin_sweep, gather, look_around, look_at, sum_cells, sum_window
+from gpdf_service.denoise.cells import AROUND, Cells, begin_sweep, look_around, look_at, sum_cells, sum_window
 from gpdf_service.fields.shapes import FEWEST, add, fit_axis, fit_plane
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.tree import VECTORS
@@ -72,7 +72,7 @@ def find_planes(cells: Cells, sigma: float, wanted: BoolArray) -> Windows:
 def _planes_range(windows: Windows, moments: FloatArray, wanted: BoolArray, begin: int, end: int) -> None:
     cells, sigma, planes, _ = windows
     near, total, normal, mean = np.empty(AROUND, np.int64), np.empty(10), np.empty(3), np.empty(3)
-    rows, halves, about = np.empty(_MOST, np.int64), np.empty((2, 10)), np.empty((4, _MOST))
+    halves, about = np.empty((2, 10)), np.empty((4, _MOST))
     at, sides = begin_sweep(cells, cells.key[begin]), np.empty((2, _MOST), np.int64)
     for c in range(begin, end):
         if not wanted[c]:
@@ -87,7 +87,7 @@ def _planes_range(windows: Windows, moments: FloatArray, wanted: BoolArray, begi
             if middle > _FLAT * low:
                 _write(planes[c, 0], normal, mean, (total[0], (middle - low) ** 2 / middle, excess), cells.width, sigma)
         elif total[0] >= 2 * FEWEST:
-            count = look_at(cells, c, rows[: gather(cells, near, rows)], about)
+            count = look_at(cells, c, near, _MOST, about)
             for axis in range(3):
                 if _is_round((low, middle, high), axis):
                     continue
