@@ -110,20 +110,11 @@ def boxes(near: Beside, ground: Strips, config: PerceptionConfig) -> Strips:
 def _are_places(
     layers: Layers, tops: IntArray, raised: FloatArray, ground: BoolArray, config: PerceptionConfig
 ) -> BoolArray:
-    """Which pieces are joined to more ground than so narrow a thing has, by their `tops`, shape (p,); see `LONG`.
+    """Which pieces are joined to more ground than so narrow a thing has, by their `tops`, shape (p,); see `_from_tops`.
 
     That is as high as half of what these are `raised` [m], shape (p,).
     """
-    limits = int(LANDING / layers.cell_width), _room_of_things(layers.cell_width, config)
-    least = layers.height[tops] - 0.5 * raised
-    found: BoolArray = _cells_as_high(tops, layers.columns, ground, least, limits, config.max_step) > limits[1]
-    return found
-
-
-def _room_of_things(width: float, config: PerceptionConfig) -> int:
-    """How many cells a thing that is narrower than a person has, and within one around, in cells so wide [m]."""
-    narrow = config.standing_width / width
-    return int((narrow + 2.0) * (LONG * narrow + 2.0))
+    return _from_tops(layers, tops, raised, ground, config)[0]
 
 
 def _with_tops(
@@ -131,12 +122,23 @@ def _with_tops(
 ) -> tuple[IntArray, FloatArray, IntArray]:
     """The same, and what pieces that are no places are joined to at their height: nodes, how much, and pieces."""
     _, last = _tops(raised, piece, np.ones(int(piece.max()) + 1, dtype=bool))
-    reach, room = int(LANDING / layers.cell_width), _room_of_things(layers.cell_width, config)
-    made = np.zeros(len(ground))
-    _join_tops(nodes[last], layers.columns, ground, raised[last], (reach, room), config.max_step, made)
+    _, made = _from_tops(layers, nodes[last], raised[last], ground, config)
     made[nodes] = raised
     nodes = np.flatnonzero(made > 0.0)
     return nodes, made[nodes], _pieces(nodes, layers.columns, layers.cell_width * float(np.tan(config.steepest)))
+
+
+def _from_tops(
+    layers: Layers, tops: IntArray, raised: FloatArray, ground: BoolArray, config: PerceptionConfig
+) -> tuple[BoolArray, FloatArray]:
+    """Which `tops` are of places, shape (p,), and how much what is joined to the others is raised [m], shape (k,).
+
+    A place has more cells than a thing that is narrower than a person, and within one around; see `LONG`.
+    """
+    narrow = config.standing_width / layers.cell_width
+    limits = int(LANDING / layers.cell_width), int((narrow + 2.0) * (LONG * narrow + 2.0))
+    made: tuple[BoolArray, FloatArray] = _join_tops(tops, layers.columns, ground, raised, limits, config.max_step)
+    return made
 
 
 def _tops(raised: FloatArray, piece: IntArray, asked: BoolArray) -> tuple[IntArray, IntArray]:
@@ -305,55 +307,32 @@ def _around(first: IntArray, boxes: IntArray, columns: Columns, ground: BoolArra
 
 
 @njit(cache=True, nogil=True)
-def _cells_as_high(
-    nodes: IntArray, columns: Columns, ground: BoolArray, least: FloatArray, limits: tuple[int, int], most: float
-) -> IntArray:
-    """Cells of ground at `least` as high, and within `most` over it [m], that is joined to each node, shape (m,).
-
-    Within the first of the `limits`, in cells; and cells beside these, as between the rings of a scan are cells without
-    a point. Where they are more than the second of the limits, it is told of some more alone.
-    """
-    count, space = np.empty(len(nodes), np.int64), _flood_room(limits[0])
-    for n in range(len(nodes)):
-        count[n] = _flood(nodes[n], columns, ground, (least[n], most), space, limits[1])[1]
-    return count
-
-
-@njit(cache=True, nogil=True)
 def _join_tops(
-    nodes: IntArray,
-    columns: Columns,
-    ground: BoolArray,
-    raised: FloatArray,
-    limits: tuple[int, int],
-    most: float,
-    made: FloatArray,
-) -> None:
-    """Say how much what is joined to each of the nodes, and nearly as high, is `raised` [m]: as much as they, (m,).
+    nodes: IntArray, columns: Columns, ground: BoolArray, raised: FloatArray, limits: tuple[int, int], most: float
+) -> tuple[BoolArray, FloatArray]:
+    """From which of the nodes, shape (m,), more cells can be met than the second of the `limits`, within the first.
 
-    Not where more than the second of the `limits` cells are within the first, half as high or beside such, and not of
-    a tread, from which it goes on upwards by `most` at most [m].
+    These hold ground that is joined to the node, half as high as it is `raised` or higher, by `most` at most [m], or
+    are beside such, as between the rings of a scan are cells without a point. From the other nodes, but for a tread,
+    from which it goes on upwards: how much what is joined to them, and nearly as high, is raised [m]; as much as they.
     """
-    space = _flood_room(limits[0])
+    many, made, reach = np.zeros(len(nodes), np.bool_), np.zeros(len(ground)), limits[0]
+    width = 2 * reach + 1
+    space = np.empty((width, width), np.bool_), np.empty((width * width, 2), np.int64), np.empty(width**2, np.int64)
     for n in range(len(nodes)):
         top = columns.height[nodes[n]]
         found, met = _flood(nodes[n], columns, ground, (top - 0.5 * raised[n], most), space, limits[1])
-        cells = space[2][:found]
-        if met > limits[1] or columns.height[cells].max() > top + LEAST_BUMP:
+        many[n], cells = met > limits[1], space[2][:found]
+        if many[n] or columns.height[cells].max() > top + LEAST_BUMP:
             continue
         for i in cells:
             if columns.height[i] > top - 0.25 * raised[n]:
                 made[i] = max(made[i], raised[n])
+    return many, made
 
 
 _Space = tuple[BoolArray, IntArray, IntArray]
 """Cells within a reach: which were met, (w, w), which are asked, (w², 2), and their nodes, (w²,)."""
-
-
-@njit(cache=True, nogil=True)
-def _flood_room(reach: int) -> _Space:
-    width = 2 * reach + 1
-    return np.empty((width, width), np.bool_), np.empty((width * width, 2), np.int64), np.empty(width**2, np.int64)
 
 
 @lean()
