@@ -239,10 +239,15 @@ def _extents(
     least: FloatArray,
     config: PerceptionConfig,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """`extents` of a `Segmentation`; the scatter is `told` for each node, or the `least` everywhere."""
+    """`extents` of a `Segmentation`; the scatter is `told` for each node, or the `least` everywhere.
+
+    The foot of a wall or of a table's leg shares its cell with the floor that it stands on, and the end of a stair's
+    tread with the face of the next one: such a node spans the ground of the cells beside it.
+    """
     scatter = told[0] if told else least
     beneath, across = run_beside(
-        partial(_ground_beside, layers, ground, smooth, scatter), partial(_across, layers, ground, smooth, config)
+        partial(lowest_beside, layers.columns, ground, smooth, layers.thickness + scatter),
+        partial(_across, layers, ground, smooth, config),
     )
     low, high = across
     return np.where(_grooves(layers, ground, low - scatter), layers.height, low), high, beneath
@@ -285,15 +290,6 @@ def _across(
     a, b = connect(replace(layers, height=smooth), ground, rise)
     low, high = half_way(smooth, a, b)
     return np.where(ground, low, np.inf), np.where(ground, high, -np.inf)
-
-
-def _ground_beside(layers: Layers, ground: BoolArray, smooth: FloatArray, scatter: FloatArray) -> FloatArray:
-    """Height of the lowest ground in the cells beside each node that spans it, inf where there is none.
-
-    The foot of a wall or of a table's leg shares its cell with the floor that it stands on, and the end of a stair's
-    tread with the face of the next one.
-    """
-    return lowest_beside(layers.columns, ground, smooth, layers.thickness + scatter)
 
 
 def _smoothed(layers: Layers, _: BoolArray, ground: BoolArray) -> tuple[FloatArray]:
