@@ -253,10 +253,8 @@ def count_in(runs: IntArray) -> int:
 
 @lean()
 def _begin_of(key: IntArray, own: int, at: IntArray, column: int) -> int:
-    """Where a column around a cell begins; sums in place of branches, for how far that is off the last is by chance."""
+    """Where a column around a cell begins."""
     first, lowest = at[0, column], own + at[1, column]
-    for _ in range(2):
-        first += first < len(key) and key[first] < lowest
     while first < len(key) and key[first] < lowest:
         first += 1
     at[0, column] = first

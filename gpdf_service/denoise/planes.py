@@ -17,7 +17,7 @@ from gpdf_service.fields.shapes import FEWEST, add, fit_axis, fit_plane
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.tree import VECTORS
 from gpdf_service.kernel_cache import lean
-from gpdf_service.types import BoolArray, Float32Array, FloatArray, IntArray
+from gpdf_service.types import BoolArray, Float32Array, FloatArray
 
 SHEETS = 2
 """Planes that a window can have."""
@@ -73,7 +73,7 @@ def _planes_range(windows: Windows, moments: FloatArray, wanted: BoolArray, begi
     cells, sigma, planes, _ = windows
     near, total, normal, mean = np.empty(AROUND, np.int64), np.empty(10), np.empty(3), np.empty(3)
     halves, about = np.empty((2, 10)), np.empty((4, _MOST))
-    at, sides = begin_sweep(cells, cells.key[begin]), np.empty((2, _MOST), np.int64)
+    at = begin_sweep(cells, cells.key[begin])
     for c in range(begin, end):
         if not wanted[c]:
             continue
@@ -93,7 +93,7 @@ def _planes_range(windows: Windows, moments: FloatArray, wanted: BoolArray, begi
                     continue
                 if axis > 0:
                     fit_axis(total, middle if axis == 1 else high, normal)
-                split = _split(about, count, normal, sides, halves)
+                split = _split(about, count, normal, halves)
                 if split and _both(halves, sigma, total[0] / count, cells.width, planes[c]):
                     break
 
@@ -128,10 +128,10 @@ def _write(
 
 
 @lean()
-def _split(about: FloatArray, n: int, axis: FloatArray, sides: IntArray, halves: FloatArray) -> bool:
+def _split(about: FloatArray, n: int, axis: FloatArray, halves: FloatArray) -> bool:
     """Write the sums of two sheets of the n points `about` across `axis` into their `halves`; whether there are two.
 
-    The last row of `about`, and the `sides`, are room for heights and for which points are of each.
+    The last row of `about` is room for heights.
     """
     x, y, z, heights = about[0, :n], about[1, :n], about[2, :n], about[3, :n]
     total, (u, v, w) = 0.0, axis
@@ -147,16 +147,10 @@ def _split(about: FloatArray, n: int, axis: FloatArray, sides: IntArray, halves:
         cut, before = 0.5 * (upper / above + (total - upper) / (n - above)), cut
         if cut == before:
             break
-    under, over = 0, 0
-    for i in range(n):  # written, and kept or not: a guess would be wrong
-        sides[0, under], sides[1, over] = i, i
-        over += heights[i] > cut
-        under = i + 1 - over
     halves[:] = 0.0
-    for half in range(SHEETS):
-        for i in sides[half, : over if half > 0 else under]:
-            add(halves[half], x[i], y[i], z[i])
-    return bool(min(under, over) >= FEWEST)
+    for i in range(n):
+        add(halves[int(heights[i] > cut)], x[i], y[i], z[i])
+    return bool(min(halves[0, 0], halves[1, 0]) >= FEWEST)
 
 
 @lean(fastmath=VECTORS)
