@@ -45,7 +45,7 @@ _Spans = tuple[tuple[int, int], tuple[int, int]]
 """Along a row and along a diagonal: cells that each side goes on for at most, and both together."""
 
 
-def low_things(near: Beside, ground: Strips, raised: Strips, relief: FloatArray, config: PerceptionConfig) -> Strips:
+def low_things(near: Beside, ground: Strips, relief: FloatArray, config: PerceptionConfig) -> Strips:
     """Which nodes of the `ground` are narrow bumps on it, over its `relief`, and not of its own roughness.
 
     Each leads no further up, does not cross the way, and is joined to no more ground, half as high over what is beside
@@ -54,11 +54,10 @@ def low_things(near: Beside, ground: Strips, raised: Strips, relief: FloatArray,
     Args:
         near: The nodes.
         ground: Which are ground.
-        raised: `raised_over_sides`.
         relief: Of the ground [m], shape (k,), or (1,) where it is the same everywhere.
         config: Limits.
     """
-    layers, on, high = near.layers, flat(ground), flat(raised)
+    layers, on, high = near.layers, flat(ground), flat(raised_over_sides(near, ground, config))
     slope = layers.cell_width * float(np.tan(config.steepest))
     nodes, most, piece = _raised(layers, LEAST_BUMP, high, slope)
     rough = most > ROUGH * _roughness(layers, nodes, piece, on, high, config)

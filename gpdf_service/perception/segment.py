@@ -15,7 +15,7 @@ from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_beside, run_chunked
 from gpdf_service.ground.foot import HALF_FOOT, SOLE, STRIDE
 from gpdf_service.perception.budget import LAYER_BYTES, check_grid
-from gpdf_service.perception.bumps import boxes, low_things, raised_over_sides
+from gpdf_service.perception.bumps import boxes, low_things
 from gpdf_service.perception.cloud import Cloud, change_layers
 from gpdf_service.perception.parts import (
     TABLE_AREA,
@@ -328,7 +328,7 @@ def find_ground(near: Beside, config: PerceptionConfig, relief: FloatArray = LEV
     roof = _roofs(near, smooth, seeds, rise, config)
     told = wide, low, roof, flight
     found = near.each("found", lambda wide, low, roof, flight: (wide | low) & ~roof | flight, *told)
-    low = low_things(near, found, raised_over_sides(near, found, config), relief, config)
+    low = low_things(near, found, relief, config)
     told = found, low, boxes(near, found, config), flight
     ground = near.each("ground", lambda found, low, box, flight: found & ~((low | box) & ~flight), *told)
     if not any(each.any() for each in ground):
