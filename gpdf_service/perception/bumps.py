@@ -142,8 +142,10 @@ def _from_tops(
 
 def _tops(raised: FloatArray, piece: IntArray, asked: BoolArray) -> tuple[IntArray, IntArray]:
     """The pieces that are `asked` about, (pieces,), and of each the row of the node raised most, the last of such."""
-    left, top, rising = np.flatnonzero(asked), np.empty(len(asked), np.int64), np.argsort(raised, kind="stable")
-    top[piece[rising]] = rising  # the last one that is written stays
+    left, most, top = np.flatnonzero(asked), np.zeros(len(asked)), np.empty(len(asked), np.int64)
+    np.maximum.at(most, piece, raised)
+    rows = np.flatnonzero(raised == most[piece])
+    top[piece[rows]] = rows  # the last one that is written stays
     return left, top[left]
 
 
