@@ -311,11 +311,11 @@ def _around(first: IntArray, boxes: IntArray, columns: Columns, ground: BoolArra
 def _join_tops(
     nodes: IntArray, columns: Columns, ground: BoolArray, raised: FloatArray, limits: tuple[int, int], most: float
 ) -> tuple[BoolArray, FloatArray]:
-    """From which of the nodes, shape (m,), more cells can be met than the second of the `limits`, within the first.
+    """Which of the nodes are joined to more cells than the second of the `limits`, within the first, shape (m,).
 
-    These hold ground that is joined to the node, half as high as it is `raised` or higher, by `most` at most [m], or
-    are beside such, as between the rings of a scan are cells without a point. From the other nodes, but for a tread,
-    from which it goes on upwards: how much what is joined to them, and nearly as high, is raised [m]; as much as they.
+    That is ground half as high as the node is `raised` or higher, by `most` at most [m], with the cells beside it, for
+    between the rings of a scan are cells without a point. What is joined to any other node, and nearly as high, is
+    raised as much: how much, shape (k,). Not so where it goes on upwards: that is a tread.
     """
     many, made, reach = np.zeros(len(nodes), np.bool_), np.zeros(len(ground)), limits[0]
     width = 2 * reach + 1
