@@ -169,31 +169,25 @@ def sum_window(cells: Cells, moments: FloatArray, near: IntArray, total: FloatAr
 
 
 @lean()
-def gather(cells: Cells, near: IntArray, rows: IntArray) -> int:
-    """Write places in the cells `near`, every k-th if there are too many; how many."""
-    total, passed, found = 0, 0, 0
+def look_at(cells: Cells, c: int, near: IntArray, most: int, about: FloatArray) -> int:
+    """Write the places in the cells `near` from the middle of cell c [m], one coordinate after the other; how many.
+
+    Every k-th is, if there are more than the `most`.
+    """
+    total, passed, found, (x, y, z) = 0, 0, 0, centre_of(cells, c)
     for j in near:
         if j >= 0:
             total += cells.begin[j + 1] - cells.begin[j]
-    stride = 1 + (total - 1) // len(rows)
+    stride = 1 + (total - 1) // most
     for j in near:
         if j >= 0:
             for i in range(cells.begin[j], cells.begin[j + 1]):
                 if passed % stride == 0:
-                    rows[found] = i
+                    p = cells.places[i]
+                    about[0, found], about[1, found], about[2, found] = p[0] - x, p[1] - y, p[2] - z
                     found += 1
                 passed += 1
     return found
-
-
-@lean()
-def look_at(cells: Cells, c: int, rows: IntArray, about: FloatArray) -> int:
-    """Write the places of `rows` from the middle of cell c [m], one coordinate after the other; how many."""
-    x, y, z = centre_of(cells, c)
-    for i in range(len(rows)):
-        p = cells.places[rows[i]]
-        about[0, i], about[1, i], about[2, i] = p[0] - x, p[1] - y, p[2] - z
-    return len(rows)
 
 
 @lean()
@@ -259,10 +253,8 @@ def count_in(runs: IntArray) -> int:
 
 @lean()
 def _begin_of(key: IntArray, own: int, at: IntArray, column: int) -> int:
-    """Where a column around a cell begins; sums in place of branches, for how far that is off the last is by chance."""
+    """Where a column around a cell begins."""
     first, lowest = at[0, column], own + at[1, column]
-    for _ in range(2):
-        first += first < len(key) and key[first] < lowest
     while first < len(key) and key[first] < lowest:
         first += 1
     at[0, column] = first

@@ -16,7 +16,6 @@ from gpdf_service.denoise.cells import (
     Cells,
     begin_sweep,
     centre_of,
-    gather,
     holds_any,
     look_around,
     look_at,
@@ -54,7 +53,7 @@ def place_at_edges(windows: Windows, placed: Placed) -> None:
 def _edge_range(windows: Windows, told: tuple[Cells, Planes], placed: Placed, begin: int, end: int) -> None:
     """As `place_at_edges`, of cells from `begin` to `end`; the flat cells are told, and their planes."""
     (cells, sigma, _, _), (flat, planes) = windows, told
-    near, runs, rows = np.empty(AROUND, np.int64), np.empty((_SIDE**2, 2), np.int64), np.empty(MOST, np.int64)
+    near, runs = np.empty(AROUND, np.int64), np.empty((_SIDE**2, 2), np.int64)
     room, own, half, first = make_room(_SIDE**3), make_room(VOTES), _HALF * cells.width, cells.key[begin]
     at, wide = begin_sweep(cells, first), begin_sweep(flat, first, _RINGS)
     for c in range(begin, end):
@@ -68,7 +67,7 @@ def _edge_range(windows: Windows, told: tuple[Cells, Planes], placed: Placed, be
         if count == 0:
             continue
         look_around(cells, c, at, near)
-        number = look_at(cells, c, rows[: gather(cells, near, rows)], room.about)
+        number = look_at(cells, c, near, MOST, room.about)
         close, thickness = _close_to(room, number, half)
         kinds = cluster(room, count, cells.width, sigma) if close >= FEWEST else 0
         most = sigma**2 * (close + THICK * sqrt(2.0 * close))  # sum of squares that the noise explains

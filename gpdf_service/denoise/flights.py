@@ -126,33 +126,26 @@ def onto_risers(flights: list[Flight], points: FloatArray, noise: float, moved: 
     """
     if len(points) == 0:
         return
-    cells = sort_into_cells(points, _VOXEL)
+    cells, reach = sort_into_cells(points, _VOXEL), _OFF * noise
     for flight in flights:
-        _onto_risers_of(flight, points, cells, _OFF * noise, (moved, left, HIDDEN * noise))
-
-
-def _onto_risers_of(
-    flight: Flight, points: FloatArray, cells: Cells, reach: float, made: tuple[FloatArray, FloatArray, float]
-) -> None:
-    """`onto_risers` of one flight, as far as `reach` [m]: made are places, what is left on them, and what that is."""
-    (angle, edges, heights, sigma), (moved, left, hidden) = flight.treads, made
-    rows, u, v = flight.within(points, cells, reach)
-    order = np.argsort(v)
-    rows, u, v = rows[order], u[order], v[order]
-    z = points[rows, 2]
-    off = u[:, None] - edges
-    over = np.maximum(np.maximum(heights[:-1] - z[:, None], z[:, None] - heights[1:]), 0.0)
-    distance = np.hypot(off, over)
-    nearest = np.where(distance.min(axis=1) <= reach, distance.argmin(axis=1), -1)
-    for k in np.flatnonzero((edges >= flight.low[0]) & (edges <= flight.high[0])):
-        mine = np.flatnonzero(nearest == k)
-        rise = float(heights[k + 1] - heights[k])
-        share = (z[mine] - heights[k]) / rise
-        mine = mine[_as_riser(v[mine], off[mine, k], share, sigma, rise, (flight.low[1], flight.high[1]))]
+        angle, edges, heights, sigma = flight.treads
         way, side = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
-        moved[rows[mine], :2] = flight.origin + edges[k] * way + v[mine, None] * side
-        moved[rows[mine], 2] = np.clip(z[mine], heights[k], heights[k + 1])
-        left[rows[mine]] = hidden
+        rows, u, v = flight.within(points, cells, reach)
+        order = np.argsort(v)
+        rows, u, v = rows[order], u[order], v[order]
+        z = points[rows, 2]
+        off = u[:, None] - edges
+        over = np.maximum(np.maximum(heights[:-1] - z[:, None], z[:, None] - heights[1:]), 0.0)
+        distance = np.hypot(off, over)
+        nearest = np.where(distance.min(axis=1) <= reach, distance.argmin(axis=1), -1)
+        for k in np.flatnonzero((edges >= flight.low[0]) & (edges <= flight.high[0])):
+            mine = np.flatnonzero(nearest == k)
+            rise = float(heights[k + 1] - heights[k])
+            share = (z[mine] - heights[k]) / rise
+            mine = mine[_as_riser(v[mine], off[mine, k], share, sigma, rise, (flight.low[1], flight.high[1]))]
+            moved[rows[mine], :2] = flight.origin + edges[k] * way + v[mine, None] * side
+            moved[rows[mine], 2] = np.clip(z[mine], heights[k], heights[k + 1])
+            left[rows[mine]] = HIDDEN * noise
 
 
 def _as_riser(

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gpdf_service.denoise.cells import AROUND, begin_sweep, centre_of, gather, holds_any, look_around, look_at
+from gpdf_service.denoise.cells import AROUND, begin_sweep, centre_of, holds_any, look_around, look_at
 from gpdf_service.denoise.planes import Windows
 from gpdf_service.denoise.turns import fit_by_turns
 from gpdf_service.denoise.votes import LIGHT, VOTES, Room, cluster, collect, make_room, onto_plane
@@ -50,7 +50,7 @@ def place_in_cells(windows: Windows, placed: Placed, least: int = 0) -> None:
 
 @njit(cache=True, nogil=True)
 def _place_range(windows: Windows, placed: Placed, least: int, begin: int, end: int) -> None:
-    cells, room, near, rows = windows.cells, make_room(VOTES), np.empty(AROUND, np.int64), np.empty(_MOST, np.int64)
+    cells, room, near = windows.cells, make_room(VOTES), np.empty(AROUND, np.int64)
     at = begin_sweep(cells, cells.key[begin])
     for c in range(begin, end):
         if not holds_any(cells, c, placed.pending):
@@ -63,7 +63,7 @@ def _place_range(windows: Windows, placed: Placed, least: int, begin: int, end: 
         if kinds == 0 or (least > 0 and not _is_alone(room.of[:count], room.found[:kinds], least)):
             continue
         if least == 0 and kinds > 1:
-            number = look_at(cells, c, rows[: gather(cells, near, rows)], room.about)
+            number = look_at(cells, c, near, _MOST, room.about)
             fit_by_turns(windows.sigma, cells.width, room, number, kinds)
         place_points(windows, c, room, kinds, placed)
 

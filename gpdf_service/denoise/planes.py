@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from gpdf_service.denoise.cells import AROUND, Cells, begin_sweep, gather, look_around, look_at, sum_cells, sum_window
+from gpdf_service.denoise.cells import AROUND, Cells, begin_sweep, look_around, look_at, sum_cells, sum_window
 from gpdf_service.fields.shapes import FEWEST, add, fit_axis, fit_plane
 from gpdf_service.fields.threads import run_chunked
 from gpdf_service.fields.tree import VECTORS
 from gpdf_service.kernel_cache import lean
-from gpdf_service.types import BoolArray, Float32Array, FloatArray, IntArray
+from gpdf_service.types import BoolArray, Float32Array, FloatArray
 
 SHEETS = 2
 """Planes that a window can have."""
@@ -72,8 +72,8 @@ def find_planes(cells: Cells, sigma: float, wanted: BoolArray) -> Windows:
 def _planes_range(windows: Windows, moments: FloatArray, wanted: BoolArray, begin: int, end: int) -> None:
     cells, sigma, planes, _ = windows
     near, total, normal, mean = np.empty(AROUND, np.int64), np.empty(10), np.empty(3), np.empty(3)
-    rows, halves, about = np.empty(_MOST, np.int64), np.empty((2, 10)), np.empty((4, _MOST))
-    at, sides = begin_sweep(cells, cells.key[begin]), np.empty((2, _MOST), np.int64)
+    halves, about = np.empty((2, 10)), np.empty((4, _MOST))
+    at = begin_sweep(cells, cells.key[begin])
     for c in range(begin, end):
         if not wanted[c]:
             continue
@@ -87,13 +87,13 @@ def _planes_range(windows: Windows, moments: FloatArray, wanted: BoolArray, begi
             if middle > _FLAT * low:
                 _write(planes[c, 0], normal, mean, (total[0], (middle - low) ** 2 / middle, excess), cells.width, sigma)
         elif total[0] >= 2 * FEWEST:
-            count = look_at(cells, c, rows[: gather(cells, near, rows)], about)
+            count = look_at(cells, c, near, _MOST, about)
             for axis in range(3):
                 if _is_round((low, middle, high), axis):
                     continue
                 if axis > 0:
                     fit_axis(total, middle if axis == 1 else high, normal)
-                split = _split(about, count, normal, sides, halves)
+                split = _split(about, count, normal, halves)
                 if split and _both(halves, sigma, total[0] / count, cells.width, planes[c]):
                     break
 
@@ -128,10 +128,10 @@ def _write(
 
 
 @lean()
-def _split(about: FloatArray, n: int, axis: FloatArray, sides: IntArray, halves: FloatArray) -> bool:
+def _split(about: FloatArray, n: int, axis: FloatArray, halves: FloatArray) -> bool:
     """Write the sums of two sheets of the n points `about` across `axis` into their `halves`; whether there are two.
 
-    The last row of `about`, and the `sides`, are room for heights and for which points are of each.
+    The last row of `about` is room for heights.
     """
     x, y, z, heights = about[0, :n], about[1, :n], about[2, :n], about[3, :n]
     total, (u, v, w) = 0.0, axis
@@ -147,16 +147,10 @@ def _split(about: FloatArray, n: int, axis: FloatArray, sides: IntArray, halves:
         cut, before = 0.5 * (upper / above + (total - upper) / (n - above)), cut
         if cut == before:
             break
-    under, over = 0, 0
-    for i in range(n):  # written, and kept or not: a guess would be wrong
-        sides[0, under], sides[1, over] = i, i
-        over += heights[i] > cut
-        under = i + 1 - over
     halves[:] = 0.0
-    for half in range(SHEETS):
-        for i in sides[half, : over if half > 0 else under]:
-            add(halves[half], x[i], y[i], z[i])
-    return bool(min(under, over) >= FEWEST)
+    for i in range(n):
+        add(halves[int(heights[i] > cut)], x[i], y[i], z[i])
+    return bool(min(halves[0, 0], halves[1, 0]) >= FEWEST)
 
 
 @lean(fastmath=VECTORS)

@@ -9,8 +9,6 @@ in a step all round, which a rise of the ground does not.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numba import njit
 
@@ -43,8 +41,11 @@ LONG = 3.0
 """[-] Length over depth of what crosses the way, a sill or a ridge; what stands about is rounder. So no thing
 that is narrower than a person is larger than three of a person's squares; a platform's corner is."""
 
+_Spans = tuple[tuple[int, int], tuple[int, int]]
+"""Along a row and along a diagonal: cells that each side goes on for at most, and both together."""
 
-def low_things(near: Beside, ground: Strips, raised: Strips, relief: FloatArray, config: PerceptionConfig) -> Strips:
+
+def low_things(near: Beside, ground: Strips, relief: FloatArray, config: PerceptionConfig) -> Strips:
     """Which nodes of the `ground` are narrow bumps on it, over its `relief`, and not of its own roughness.
 
     Each leads no further up, does not cross the way, and is joined to no more ground, half as high over what is beside
@@ -53,11 +54,10 @@ def low_things(near: Beside, ground: Strips, raised: Strips, relief: FloatArray,
     Args:
         near: The nodes.
         ground: Which are ground.
-        raised: `raised_over_sides`.
         relief: Of the ground [m], shape (k,), or (1,) where it is the same everywhere.
         config: Limits.
     """
-    layers, on, high = near.layers, flat(ground), flat(raised)
+    layers, on, high = near.layers, flat(ground), flat(raised_over_sides(near, ground, config))
     slope = layers.cell_width * float(np.tan(config.steepest))
     nodes, most, piece = _raised(layers, LEAST_BUMP, high, slope)
     rough = most > ROUGH * _roughness(layers, nodes, piece, on, high, config)
@@ -84,8 +84,10 @@ def boxes(near: Beside, ground: Strips, config: PerceptionConfig) -> Strips:
     to at its height is of it, whether or not the scan shows ground behind.
     """
     layers, on, slope = near.layers, flat(ground), near.layers.cell_width * float(np.tan(config.steepest))
-    width = max(2, int(LANDING / layers.cell_width))
-    raised = _ask(near, "raised within", _raise_within, width, (slope, config.max_step), ground)
+    straight = max(2, int(LANDING / layers.cell_width))
+    diagonal = int(np.sqrt(0.5) * straight)
+    spans = (straight - 1, straight), (diagonal - 1, diagonal)
+    raised = _ask(near, "raised within", spans, (slope, config.max_step), ground)
     nodes, most, piece = _raised(layers, slope, flat(raised), slope)
     if len(nodes) == 0:
         return near.among("boxes", nodes)
@@ -107,20 +109,11 @@ def boxes(near: Beside, ground: Strips, config: PerceptionConfig) -> Strips:
 def _are_places(
     layers: Layers, tops: IntArray, raised: FloatArray, ground: BoolArray, config: PerceptionConfig
 ) -> BoolArray:
-    """Which pieces are joined to more ground than so narrow a thing has, by their `tops`, shape (p,); see `LONG`.
+    """Which pieces are joined to more ground than so narrow a thing has, by their `tops`, shape (p,); see `_from_tops`.
 
     That is as high as half of what these are `raised` [m], shape (p,).
     """
-    limits = int(LANDING / layers.cell_width), _room_of_things(layers.cell_width, config)
-    least = layers.height[tops] - 0.5 * raised
-    found: BoolArray = _cells_as_high(tops, layers.columns, ground, least, limits, config.max_step) > limits[1]
-    return found
-
-
-def _room_of_things(width: float, config: PerceptionConfig) -> int:
-    """How many cells a thing that is narrower than a person has, and within one around, in cells so wide [m]."""
-    narrow = config.standing_width / width
-    return int((narrow + 2.0) * (LONG * narrow + 2.0))
+    return _from_tops(layers, tops, raised, ground, config)[0]
 
 
 def _with_tops(
@@ -128,28 +121,32 @@ def _with_tops(
 ) -> tuple[IntArray, FloatArray, IntArray]:
     """The same, and what pieces that are no places are joined to at their height: nodes, how much, and pieces."""
     _, last = _tops(raised, piece, np.ones(int(piece.max()) + 1, dtype=bool))
-    reach, room = int(LANDING / layers.cell_width), _room_of_things(layers.cell_width, config)
-    made = np.zeros(len(ground))
-    _join_tops(nodes[last], layers.columns, ground, raised[last], (reach, room), config.max_step, made)
+    _, made = _from_tops(layers, nodes[last], raised[last], ground, config)
     made[nodes] = raised
     nodes = np.flatnonzero(made > 0.0)
     return nodes, made[nodes], _pieces(nodes, layers.columns, layers.cell_width * float(np.tan(config.steepest)))
 
 
+def _from_tops(
+    layers: Layers, tops: IntArray, raised: FloatArray, ground: BoolArray, config: PerceptionConfig
+) -> tuple[BoolArray, FloatArray]:
+    """Which `tops` are of places, shape (p,), and how much what is joined to the others is raised [m], shape (k,).
+
+    A place has more cells than a thing that is narrower than a person, and within one around; see `LONG`.
+    """
+    narrow = config.standing_width / layers.cell_width
+    limits = int(LANDING / layers.cell_width), int((narrow + 2.0) * (LONG * narrow + 2.0))
+    made: tuple[BoolArray, FloatArray] = _join_tops(tops, layers.columns, ground, raised, limits, config.max_step)
+    return made
+
+
 def _tops(raised: FloatArray, piece: IntArray, asked: BoolArray) -> tuple[IntArray, IntArray]:
     """The pieces that are `asked` about, (pieces,), and of each the row of the node raised most, the last of such."""
-    left = np.flatnonzero(asked)
-    return left, _highest_of(raised, piece, len(asked))[left]
-
-
-@njit(cache=True, nogil=True)
-def _highest_of(raised: FloatArray, piece: IntArray, pieces: int) -> IntArray:
-    top = np.full(pieces, -1)
-    for row in range(len(piece)):
-        best = top[piece[row]]
-        if best < 0 or raised[row] >= raised[best]:
-            top[piece[row]] = row
-    return top
+    left, most, top = np.flatnonzero(asked), np.zeros(len(asked)), np.empty(len(asked), np.int64)
+    np.maximum.at(most, piece, raised)
+    rows = np.flatnonzero(raised == most[piece])
+    top[piece[rows]] = rows  # the last one that is written stays
+    return left, top[left]
 
 
 def _raised(layers: Layers, least: float, raised: FloatArray, slope: float) -> tuple[IntArray, FloatArray, IntArray]:
@@ -168,19 +165,17 @@ def _roughness(
     return made
 
 
-def _ask(
-    near: Beside, name: str, raise_: Callable[..., None], reach: int, limits: tuple[float, float], ground: Strips
-) -> Strips:
-    """How much higher each node of the `ground` is than that to both sides of it [m], by a compiled loop.
+def _ask(near: Beside, name: str, spans: _Spans, limits: tuple[float, float], ground: Strips) -> Strips:
+    """How much higher each node of the `ground` is than that to both sides of it [m], within so many cells.
 
     What is no more than the first of the `limits` may count for nothing; what differs by more than the second is no
     ground beside it [m].
     """
+    reach = spans[0][0]
 
     def answer(layers: Layers, asked: BoolArray, ground: BoolArray) -> tuple[FloatArray]:
         raised, nodes = np.zeros(len(ground)), _over_ground(layers, ground, reach, limits[0], asked)
-        own = layers.columns, ground, reach, limits, raised
-        run_chunked(lambda a, b: raise_(nodes[a:b], *own), len(nodes))
+        run_chunked(lambda a, b: _raise(nodes[a:b], layers.columns, ground, spans, limits, raised), len(nodes))
         return (raised,)
 
     return near.around(name, reach, answer, ground)[0]
@@ -207,44 +202,17 @@ def _boxes_around(layers: Layers, nodes: IntArray, piece: IntArray, count: int, 
     return boxes
 
 
-@njit(cache=True, nogil=True)
-def _raise_within(
-    nodes: IntArray, columns: Columns, ground: BoolArray, width: int, limits: tuple[float, float], raised: FloatArray
-) -> None:
-    """See `_ask`, within the width in all: in the direction in which it is most, of all ways to share the width."""
-    (least, most), ny = limits, columns.shape[1]
-    drop = np.zeros((2, width + 1))
-    for i in nodes:
-        x, y, level = columns.cell[i] // ny, columns.cell[i] % ny, columns.height[i]
-        for dx, dy in HALF:
-            cells = width if dx * dy == 0 else int(np.sqrt(0.5) * width)
-            for side in range(2):
-                for k in range(1, cells):
-                    u, v = x + (2 * side - 1) * k * dx, y + (2 * side - 1) * k * dy
-                    drop[side, k] = max(drop[side, k - 1], _drop_to(u, v, columns, ground, level, most))
-                if drop[side, cells - 1] <= max(raised[i], least):
-                    break
-            else:
-                for k in range(1, cells):
-                    raised[i] = max(raised[i], min(drop[0, k], drop[1, cells - k]))
-
-
 def raised_over_sides(near: Beside, ground: Strips, config: PerceptionConfig) -> Strips:
     """How much higher each node of the `ground` is than the ground to both sides of it [m]."""
     limits = LEAST_BUMP / ROUGH, config.max_step  # less tells no bump, and nor does a quartile of such
-    return _ask(near, "raised", _raise, _reach(near.layers, config), limits, ground)
+    straight = _reach(near.layers, config)
+    diagonal = max(1, int(np.sqrt(0.5) * straight))
+    return _ask(near, "raised", ((straight, 2 * straight), (diagonal, 2 * diagonal)), limits, ground)
 
 
 def _reach(layers: Layers, config: PerceptionConfig) -> int:
     """Cells to either side that are as wide as half a person."""
     return max(1, int(0.5 * config.standing_width / layers.cell_width))
-
-
-def _among(layers: Layers, nodes: IntArray) -> BoolArray:
-    """Which of all nodes are among the `nodes`, shape (k,)."""
-    found = np.zeros(len(layers.cell), dtype=bool)
-    found[nodes] = True
-    return found
 
 
 @njit(cache=True, nogil=True)
@@ -276,7 +244,8 @@ def _drops_beside(
     layers: Layers, nodes: IntArray, ground: BoolArray, config: PerceptionConfig
 ) -> tuple[IntArray, FloatArray]:
     """Other `ground` beside the `nodes` and within a step of them: row of the node, and how much lower it is [m]."""
-    others = ground & ~_among(layers, nodes)
+    others = ground.copy()
+    others[nodes] = False
     a, b = pairs_around(nodes, layers.columns, others, 0.0, config.max_step)
     return a, layers.height[nodes[a]] - layers.height[b]
 
@@ -303,25 +272,23 @@ def _drop_to(u: int, v: int, columns: Columns, ground: BoolArray, level: float, 
 
 @njit(cache=True, nogil=True)
 def _raise(
-    nodes: IntArray, columns: Columns, ground: BoolArray, reach: int, limits: tuple[float, float], raised: FloatArray
+    nodes: IntArray, columns: Columns, ground: BoolArray, spans: _Spans, limits: tuple[float, float], raised: FloatArray
 ) -> None:
-    """See `_ask`: in the direction in which that is most."""
-    (enough, most), ny = limits, columns.shape[1]
+    """See `_ask`: in the direction in which it is most, of all ways to share the width of a span."""
+    (enough, most), ny, drop = limits, columns.shape[1], np.zeros((2, spans[0][0] + 1))
     for i in nodes:
         x, y, level = columns.cell[i] // ny, columns.cell[i] % ny, columns.height[i]
         for dx, dy in HALF:
-            cells = reach if dx * dy == 0 else max(1, int(np.sqrt(0.5) * reach))
-            least = np.inf
-            for side in (-1, 1):
-                drop = 0.0
-                for k in range(1, cells + 1):
-                    u, v = x + side * k * dx, y + side * k * dy
-                    drop = max(drop, _drop_to(u, v, columns, ground, level, most))
-                least = min(least, drop)
-                if least <= max(raised[i], enough):
+            reach, width = spans[abs(dx * dy)]
+            for side in range(2):
+                for k in range(1, reach + 1):
+                    u, v = x + (2 * side - 1) * k * dx, y + (2 * side - 1) * k * dy
+                    drop[side, k] = max(drop[side, k - 1], _drop_to(u, v, columns, ground, level, most))
+                if drop[side, reach] <= max(raised[i], enough):
                     break
             else:
-                raised[i] = least
+                for k in range(width - reach, reach + 1):
+                    raised[i] = max(raised[i], min(drop[0, k], drop[1, width - k]))
 
 
 @njit(cache=True, nogil=True)
@@ -341,55 +308,32 @@ def _around(first: IntArray, boxes: IntArray, columns: Columns, ground: BoolArra
 
 
 @njit(cache=True, nogil=True)
-def _cells_as_high(
-    nodes: IntArray, columns: Columns, ground: BoolArray, least: FloatArray, limits: tuple[int, int], most: float
-) -> IntArray:
-    """Cells of ground at `least` as high, and within `most` over it [m], that is joined to each node, shape (m,).
-
-    Within the first of the `limits`, in cells; and cells beside these, as between the rings of a scan are cells without
-    a point. Where they are more than the second of the limits, it is told of some more alone.
-    """
-    count, space = np.empty(len(nodes), np.int64), _flood_room(limits[0])
-    for n in range(len(nodes)):
-        count[n] = _flood(nodes[n], columns, ground, (least[n], most), space, limits[1])[1]
-    return count
-
-
-@njit(cache=True, nogil=True)
 def _join_tops(
-    nodes: IntArray,
-    columns: Columns,
-    ground: BoolArray,
-    raised: FloatArray,
-    limits: tuple[int, int],
-    most: float,
-    made: FloatArray,
-) -> None:
-    """Say how much what is joined to each of the nodes, and nearly as high, is `raised` [m]: as much as they, (m,).
+    nodes: IntArray, columns: Columns, ground: BoolArray, raised: FloatArray, limits: tuple[int, int], most: float
+) -> tuple[BoolArray, FloatArray]:
+    """Which of the nodes are joined to more cells than the second of the `limits`, within the first, shape (m,).
 
-    Not where more than the second of the `limits` cells are within the first, half as high or beside such, and not of
-    a tread, from which it goes on upwards by `most` at most [m].
+    That is ground half as high as the node is `raised` or higher, by `most` at most [m], with the cells beside it, for
+    between the rings of a scan are cells without a point. What is joined to any other node, and nearly as high, is
+    raised as much: how much, shape (k,). Not so where it goes on upwards: that is a tread.
     """
-    space = _flood_room(limits[0])
+    many, made, reach = np.zeros(len(nodes), np.bool_), np.zeros(len(ground)), limits[0]
+    width = 2 * reach + 1
+    space = np.empty((width, width), np.bool_), np.empty((width * width, 2), np.int64), np.empty(width**2, np.int64)
     for n in range(len(nodes)):
         top = columns.height[nodes[n]]
         found, met = _flood(nodes[n], columns, ground, (top - 0.5 * raised[n], most), space, limits[1])
-        cells = space[2][:found]
-        if met > limits[1] or columns.height[cells].max() > top + LEAST_BUMP:
+        many[n], cells = met > limits[1], space[2][:found]
+        if many[n] or columns.height[cells].max() > top + LEAST_BUMP:
             continue
         for i in cells:
             if columns.height[i] > top - 0.25 * raised[n]:
                 made[i] = max(made[i], raised[n])
+    return many, made
 
 
 _Space = tuple[BoolArray, IntArray, IntArray]
 """Cells within a reach: which were met, (w, w), which are asked, (w², 2), and their nodes, (w²,)."""
-
-
-@njit(cache=True, nogil=True)
-def _flood_room(reach: int) -> _Space:
-    width = 2 * reach + 1
-    return np.empty((width, width), np.bool_), np.empty((width * width, 2), np.int64), np.empty(width**2, np.int64)
 
 
 @lean()

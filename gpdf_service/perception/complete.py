@@ -84,10 +84,10 @@ def _known_to_be_free(
         part = without_hidden(as_map(height, state), room, face, asked)
         return part.height, part.state
 
-    own = filled.height, filled.state
-    (face,) = grid.around("faces", faces_reach(filled), faces, *own, stair, points=True)
-    (room,) = grid.around("behind", room_reach(filled), behind, *own, lowest, face)
-    return as_map(*grid.around("shown", hidden_reach(filled), shown, *own, room, face, asked=True))
+    own, deepest = (filled.height, filled.state), int(np.ceil(MAX_HOLE_RADIUS / filled.cell_width))
+    (face,) = grid.around("faces", _FACE_REACH + _foot_cells(filled), faces, *own, stair, points=True)
+    (room,) = grid.around("behind", deepest + 2, behind, *own, lowest, face)  # a disc's radius, and its front
+    return as_map(*grid.around("shown", deepest + 1, shown, *own, room, face, asked=True))
 
 
 def notch_reach(surface: HeightMap) -> int:
@@ -135,11 +135,6 @@ def room_behind(surface: HeightMap, lowest: FloatArray, face: BoolArray) -> Squa
     return np.rint(np.where(shown, room * room, 0.0)).astype(np.int32)
 
 
-def room_reach(surface: HeightMap) -> int:
-    """Cells within which `room_behind` is decided: a disc's radius, and its front."""
-    return int(np.ceil(MAX_HOLE_RADIUS / surface.cell_width)) + 2
-
-
 def without_hidden(surface: HeightMap, room: Squares, face: BoolArray, told: BoolArray) -> HeightMap:
     """Take back inferred ground that a thing of which only a front was seen may stand on, in the cells that are `told`.
 
@@ -183,16 +178,6 @@ def find_faces(surface: HeightMap, cell: IntArray, z: FloatArray, headroom: floa
 def _foot_cells(surface: HeightMap) -> int:
     """Cells that make half a foot."""
     return int(np.ceil(HALF_FOOT / surface.cell_width**2))
-
-
-def faces_reach(surface: HeightMap) -> int:
-    """Cells within which the ground, and other points, decide on a face."""
-    return _FACE_REACH + _foot_cells(surface)
-
-
-def hidden_reach(surface: HeightMap) -> int:
-    """Cells within which a disc may cover a cell, `without_hidden`."""
-    return int(np.ceil(MAX_HOLE_RADIUS / surface.cell_width)) + 1
 
 
 @njit(cache=True, nogil=True)

@@ -64,7 +64,7 @@ class Follow(NamedTuple):
 
         def count(share: int) -> None:
             for each in bundles:
-                _cast(each, field, self.deep, share, shares[share])
+                _cast(each, field, share, shares[share])
 
         run_parallel(count, range(SHARES))
         made[asked] = np.sum(shares, axis=0)
@@ -79,14 +79,14 @@ class Follow(NamedTuple):
         low = np.append(part.origin - ROUNDING, lowest.min())
         high = np.append(part.origin + self.width * np.array(asked.shape) + ROUNDING, highest.max())
         number = np.where(asked, np.cumsum(asked).reshape(asked.shape) - 1, -1).astype(np.int32)
-        own = self.corner, self.width, self.before
-        return _Field(number, height[asked], top[asked], lowest, highest, first, low, high, *own)
+        return _Field(self, number, height[asked], top[asked], lowest, highest, first, low, high)
 
 
 class _Field(NamedTuple):
     """Cells that are asked about, in a box of a grid.
 
     Attributes:
+        how: Rays are followed.
         number: Of each cell among those asked, −1 of the others, shape (nx, ny).
         height: Of those asked [m], shape (m,).
         top: How high a ray may pass over each [m], shape (m,).
@@ -95,11 +95,9 @@ class _Field(NamedTuple):
         first: The first cell of the box in the grid.
         low: Lower corner of a box that holds all [m], shape (3,).
         high: Its upper corner [m], shape (3,).
-        corner: Of the grid's cell 0 [m].
-        width: Of the cells [m].
-        before: A ray counts as far as so much before its point [m].
     """
 
+    how: Follow
     number: NDArray[np.int32]
     height: Float32Array
     top: Float32Array
@@ -108,26 +106,23 @@ class _Field(NamedTuple):
     first: IntArray
     low: FloatArray
     high: FloatArray
-    corner: FloatArray
-    width: float
-    before: float
 
 
 @lean()
-def _part(a: _Place, along: _Place, width: float, before: float) -> tuple[float, float]:
+def _part(along: _Place, how: Follow) -> tuple[float, float]:
     """Where a ray is surely free, and not too far off its point, as shares of it; none of it if it is short."""
     plan = along[0] ** 2 + along[1] ** 2
     length = np.sqrt(plan + along[2] ** 2)
-    if not before < length < np.inf:
+    if not how.before < length < np.inf:
         return 1.0, 0.0
-    last = 1.0 - before / length
-    return max(0.0, last - FARTHEST * width / max(np.sqrt(plan), width)), last
+    last = 1.0 - how.before / length
+    return max(0.0, last - FARTHEST * how.width / max(np.sqrt(plan), how.width)), last
 
 
 @lean()
 def _cell_at(ray: _Ray, t: float, k: int, field: _Field) -> int:
     """In which cell of the box, or beyond it, a share of a ray ends along an axis."""
-    return int(np.floor((ray[0][k] + t * ray[1][k] - field.corner[k]) / field.width)) - int(field.first[k])
+    return int(np.floor((ray[0][k] + t * ray[1][k] - field.how.corner[k]) / field.how.width)) - int(field.first[k])
 
 
 @lean()
@@ -160,7 +155,7 @@ def _reaches(ray: _Ray, k: int, field: _Field, cell: int, none: float) -> float:
     """
     if ray[1][k] == 0.0:
         return none
-    return float(field.corner[k] + field.width * (field.first[k] + cell) - ray[0][k]) / ray[1][k]
+    return float(field.how.corner[k] + field.how.width * (field.first[k] + cell) - ray[0][k]) / ray[1][k]
 
 
 @lean()
@@ -179,10 +174,10 @@ def _next(ray: _Ray, at: tuple[int, int], leaves: tuple[float, float]) -> tuple[
 
 
 @lean()
-def _cast(rays: Bundle, field: _Field, deep: float, share: int, made: Counts) -> None:
+def _cast(rays: Bundle, field: _Field, share: int, made: Counts) -> None:
     """Count how many rays of a share were in each cell between its ground and its top, and how many fell, (m, 2).
 
-    One falls that comes from or goes to what is `deep` under the ground [m]. Through tiles that are as low it goes from
+    One falls that comes from or goes to what is deep under the ground. Through tiles that are as low it goes from
     cell to cell.
     """
     origins, ends, there = rays
@@ -194,7 +189,7 @@ def _cast(rays: Bundle, field: _Field, deep: float, share: int, made: Counts) ->
         a = origins[k, 0], origins[k, 1], origins[k, 2]
         x, y, z = ends[i, 0] - a[0], ends[i, 1] - a[1], ends[i, 2] - a[2]
         along = x if abs(x) > ROUNDING else 0.0, y if abs(y) > ROUNDING else 0.0, z if abs(z) > ROUNDING else 0.0
-        ray = a, along, _part(a, along, field.width, field.before), min(a[2], ends[i, 2]) + deep
+        ray = a, along, _part(along, field.how), min(a[2], ends[i, 2]) + field.how.deep
         t, last = _part_at_ground(ray, field)
         if not t < last:
             continue

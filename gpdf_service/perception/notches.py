@@ -12,7 +12,7 @@ from gpdf_service.config import PerceptionConfig
 from gpdf_service.ground.foot import SOLE, STRIDE
 from gpdf_service.ground.footing import ROUGH
 from gpdf_service.kernel_cache import lean
-from gpdf_service.tiles.boxes import window
+from gpdf_service.tiles.boxes import highest_around, window
 from gpdf_service.tiles.layers import HALF
 from gpdf_service.tiles.nearest import nearest_of
 from gpdf_service.tiles.surface import INFERRED, UNKNOWN, HeightMap
@@ -84,7 +84,8 @@ def fill_notches(
     asked &= ~below | (narrow & at_risers) | _from_the_side(known & flight, below, width)
     cells, discs = np.ascontiguousarray(np.argwhere(asked)), (_disc(2.0 * radius), _disc(radius))
     rise = np.where(_as_wide_as_a_sole(~np.isnan(own), width), config.stair_step, 0.0)
-    own[tuple(cells.T)] = _treads(own, rise, cells, *discs, (0.5 * width, config.stair_step))
+    touching = highest_around(np.where(np.isnan(own), np.float32(-np.inf), own), 1)[asked].astype(np.float64)
+    own[asked] = _treads(own, rise, cells, discs, touching - config.stair_step, 0.5 * width)
     height[box], state[box][known != ~np.isnan(own)] = own, INFERRED
     return replace(surface, height=height, state=state)
 
@@ -121,38 +122,31 @@ def _from_the_side(treads: BoolArray, below: BoolArray, cell_width: float) -> Bo
 
 @njit(cache=True, nogil=True)
 def _treads(
-    height: Float32Array, rise: FloatArray, cells: IntArray, near: IntArray, disc: IntArray, limits: tuple[float, float]
+    height: Float32Array,
+    rise: FloatArray,
+    cells: IntArray,
+    discs: tuple[IntArray, IntArray],
+    lowest: FloatArray,
+    same: float,
 ) -> Float32Array:
     """Height of the tread of each of the `cells`, (k, 2), NaN where none closes over it: the nearest, then the lowest.
 
-    Every `disc` that holds the cell holds a known one as high, or up to its `rise` [m] higher, and none touches the
-    cell from which that is a higher step; by these `limits` heights of one tread, and of two beside each other, differ.
+    Every one of the lesser `discs` that holds the cell holds a known one as high, or up to its `rise` [m] higher, and
+    it is no lower than the `lowest` [m], (k,). Heights of one tread differ by what is the `same` [m] at most.
     """
-    (nx, ny), made, (same, step) = height.shape, np.full(len(cells), np.float32(np.nan), np.float32), limits
+    (nx, ny), made, (near, disc) = height.shape, np.full(len(cells), np.float32(np.nan), np.float32), discs
     for k in range(len(cells)):
-        x, y = cells[k]
-        found, lowest = 0, _highest_at(height, x, y) - step - same
+        (x, y), found = cells[k], 0
         for one in range(len(near)):
             dx, dy = near[one]
             if 0 < found < dx * dx + dy * dy:
                 break
             u, v = x + dx, y + dy
-            if not (0 <= u < nx and 0 <= v < ny) or not lowest <= height[u, v] or height[u, v] >= made[k]:
+            if not (0 <= u < nx and 0 <= v < ny) or not lowest[k] - same <= height[u, v] or height[u, v] >= made[k]:
                 continue
             if _closes(height, x, y, disc, height[u, v] - same, height[u, v] + same + rise[u, v]):
                 made[k], found = height[u, v], dx * dx + dy * dy
     return made
-
-
-@lean()
-def _highest_at(height: Float32Array, x: int, y: int) -> float:
-    """Height of the highest ground that touches a cell [m], -inf where none does."""
-    highest = -np.inf
-    for u in range(max(0, x - 1), min(height.shape[0], x + 2)):
-        for v in range(max(0, y - 1), min(height.shape[1], y + 2)):
-            if height[u, v] > highest:
-                highest = height[u, v]
-    return highest
 
 
 @njit(cache=True, nogil=True)

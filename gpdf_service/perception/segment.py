@@ -16,7 +16,7 @@ from gpdf_service.errors import NoGroundError
 from gpdf_service.fields.threads import run_beside, run_chunked
 from gpdf_service.ground.foot import HALF_FOOT, SOLE, STRIDE
 from gpdf_service.perception.budget import LAYER_BYTES, check_grid
-from gpdf_service.perception.bumps import boxes, low_things, raised_over_sides
+from gpdf_service.perception.bumps import boxes, low_things
 from gpdf_service.perception.cloud import Cloud, change_layers
 from gpdf_service.perception.parts import (
     TABLE_AREA,
@@ -252,10 +252,15 @@ def _extents(
     least: FloatArray,
     config: PerceptionConfig,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """`extents` of a `Segmentation`; the scatter is `told` for each node, or the `least` everywhere."""
+    """`extents` of a `Segmentation`; the scatter is `told` for each node, or the `least` everywhere.
+
+    The foot of a wall or of a table's leg shares its cell with the floor that it stands on, and the end of a stair's
+    tread with the face of the next one: such a node spans the ground of the cells beside it.
+    """
     scatter = told[0] if told else least
     beneath, across = run_beside(
-        partial(_ground_beside, layers, ground, smooth, scatter), partial(_across, layers, ground, smooth, config)
+        partial(lowest_beside, layers.columns, ground, smooth, layers.thickness + scatter),
+        partial(_across, layers, ground, smooth, config),
     )
     low, high = across
     return np.where(_grooves(layers, ground, low - scatter), layers.height, low), high, beneath
@@ -300,15 +305,6 @@ def _across(
     return np.where(ground, low, np.inf), np.where(ground, high, -np.inf)
 
 
-def _ground_beside(layers: Layers, ground: BoolArray, smooth: FloatArray, scatter: FloatArray) -> FloatArray:
-    """Height of the lowest ground in the cells beside each node that spans it, inf where there is none.
-
-    The foot of a wall or of a table's leg shares its cell with the floor that it stands on, and the end of a stair's
-    tread with the face of the next one.
-    """
-    return lowest_beside(layers.columns, ground, smooth, layers.thickness + scatter)
-
-
 def _smoothed(layers: Layers, _: BoolArray, ground: BoolArray) -> tuple[FloatArray]:
     """Median height of each ground node and its neighbours on the same slope: a wheel on the floor does not lift it."""
     a, b = connect(layers, ground, 2.0 * layers.cell_width)
@@ -345,7 +341,7 @@ def find_ground(near: Beside, config: PerceptionConfig, relief: FloatArray = LEV
     roof = _roofs(near, smooth, seeds, rise, config)
     told = wide, low, roof, flight
     found = near.each("found", lambda wide, low, roof, flight: (wide | low) & ~roof | flight, *told)
-    low = low_things(near, found, raised_over_sides(near, found, config), relief, config)
+    low = low_things(near, found, relief, config)
     told = found, low, boxes(near, found, config), flight
     ground = near.each("ground", lambda found, low, box, flight: found & ~((low | box) & ~flight), *told)
     if not any(each.any() for each in ground):

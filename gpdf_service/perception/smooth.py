@@ -13,8 +13,9 @@ import numpy as np
 from numba import njit
 
 from gpdf_service.fields.heights import add_height, clear, fit_heights, make_sums
+from gpdf_service.fields.shapes import add
 from gpdf_service.tiles.surface import HeightMap
-from gpdf_service.types import Float32Array, IntArray
+from gpdf_service.types import Float32Array, FloatArray, IntArray
 
 REACH = 11.4
 """[-] Radius of the surroundings over the noise: that of the largest neighbourhood that a point is cured by. What the
@@ -41,10 +42,6 @@ _AROUND = 5
 """Of a cell and its eight neighbours that a plane needs: two more than it has numbers, so that what is off shows."""
 _ASKEW = 1e-3
 """[-] Places nearer to one line have no slope across it: their spread about it over that along it, squared."""
-
-_Sums = tuple[float, float, float, float, float, float, float, float, float, float]
-"""Of 1, x, y, z, x², y², z², xy, xz, yz."""
-_OF_NONE: _Sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def to_centres(surface: HeightMap, off: Float32Array, noise: float = 0.0) -> HeightMap:
@@ -110,18 +107,18 @@ def _onto_planes(
     height: Float32Array, places: tuple[Float32Array, float], reach: int, limits: tuple[float, float], rims: bool
 ) -> Float32Array:
     """See `to_centres` and `with_rims`; `places` are off their centres by so much, with cells of such a width."""
-    made, (off, width), (same, flat) = height.copy(), places, limits
+    made, sums, (off, width), (same, flat) = height.copy(), np.empty(10), places, limits
     for i in range(height.shape[0]):
         for j in range(height.shape[1]):
             if np.isnan(height[i, j]) or (rims and not _is_rim(height, i, j, same)):
                 continue
-            sums = _OF_NONE
+            sums[:] = 0.0
             for k in range(max(i - reach, 0), min(i + reach + 1, height.shape[0])):
                 for m in range(max(j - reach, 0), min(j + reach + 1, height.shape[1])):
                     x, y = (k - i) * width + off[k, m, 0], (m - j) * width + off[k, m, 1]
                     rise = float(height[k, m]) - float(height[i, j])
                     if abs(rise) <= same and (not rims or x * x + y * y <= reach * reach):  # a NaN compares false
-                        sums = _with(sums, x, y, rise)
+                        add(sums, x, y, rise)
             shift, rest = _plane(sums)
             good = rest <= flat if not rims else sums[0] >= _FEWEST and (rest <= flat or abs(shift) > _ALONE * rest)
             if good:
@@ -140,15 +137,11 @@ def _is_rim(height: Float32Array, i: int, j: int, same: float) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def _with(sums: _Sums, x: float, y: float, z: float) -> _Sums:
-    n, sx, sy, sz, xx, yy, zz, xy, xz, yz = sums
-    n, sx, sy, sz = n + 1.0, sx + x, sy + y, sz + z
-    return n, sx, sy, sz, xx + x * x, yy + y * y, zz + z * z, xy + x * y, xz + x * z, yz + y * z
+def _plane(sums: FloatArray) -> tuple[float, float]:
+    """Height at (0, 0) of the least-squares plane, and the root mean square about it; inf if places carry none.
 
-
-@njit(cache=True, nogil=True)
-def _plane(sums: _Sums) -> tuple[float, float]:
-    """Height at (0, 0) of the least-squares plane, and the root mean square about it; inf if places carry none."""
+    The sums are of `add`.
+    """
     n, x, y, z, xx, yy, zz, xy, xz, yz = sums
     if n < _AROUND:
         return 0.0, np.inf

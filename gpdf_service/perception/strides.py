@@ -75,11 +75,10 @@ def find_strides(
         if stance[i]:
             rim[i] = not _inside(i, columns, stance, part)
     rings, wide = int(reach), _chords(reach)
-    mixed, side = _mixed(columns, rim, part, rings), max(rings, 1)
     best, far = np.empty(64, np.int64), np.empty(64)
     for i in range(len(cell)):
         x, y, used = cell[i] // ny, cell[i] % ny, 0
-        if not (rim[i] and mixed[x // side, y // side]):
+        if not rim[i]:
             continue
         for u in range(x, min(x + rings + 1, nx)):  # only nodes after it are looked at
             begin = start[u * ny + max(y - wide[u - x], 0)] if u > x else i + 1
@@ -92,23 +91,6 @@ def find_strides(
             one.append(i)
             other.append(best[k])
     return np.array(one, np.int64), np.array(other, np.int64)
-
-
-@njit(cache=True, nogil=True)
-def _mixed(columns: Columns, among: BoolArray, part: IntArray, rings: int) -> BoolArray:
-    """Blocks of `rings` cells a side that hold, with those around them, nodes `among` all of more than one part."""
-    cell, shape, wide = columns.cell, columns.shape, max(rings, 1)
-    low = np.full((shape[0] // wide + 1, shape[1] // wide + 1), np.int64(2**62))
-    high, made = np.full(low.shape, np.int64(-1)), np.zeros(low.shape, np.bool_)
-    for i in range(len(cell)):
-        if among[i]:
-            x, y = cell[i] // shape[1] // wide, cell[i] % shape[1] // wide
-            low[x, y], high[x, y] = min(low[x, y], part[i]), max(high[x, y], part[i])
-    for x in range(low.shape[0]):
-        for y in range(low.shape[1]):
-            around = slice(max(x - 1, 0), x + 2), slice(max(y - 1, 0), y + 2)
-            made[x, y] = low[around].min() < high[around].max()
-    return made
 
 
 @njit(cache=True, nogil=True)

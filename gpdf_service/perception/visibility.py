@@ -64,15 +64,8 @@ def seen_by_rays(
         into, low = (fell > 0) & ~edge, LOW * config.min_headroom
         return (_of_one_hole(as_map(height, state), state == INFERRED, into, low) if into.any() else into,)
 
-    def shown(
-        _: Box,
-        height: Float32Array,
-        state: ByteArray,
-        single: BoolArray,
-        low: Counts,
-        blind: BoolArray,
-        hole: BoolArray,
-    ) -> tuple[Float32Array, ByteArray]:
+    def shown(_: Box, height: Float32Array, state: ByteArray, *told: NDArray[Any]) -> tuple[Float32Array, ByteArray]:
+        single, low, blind, hole = told
         free = (single | (low >= ENOUGH) | blind) & ~hole
         part = without(as_map(height, state), (state == INFERRED) & ~free)
         return part.height, part.state

@@ -14,7 +14,7 @@ def test_shares_are_those_of_planes_seen_with_an_error():
     rng = np.random.default_rng(0)
     points = rng.normal(0.0, SIGMA, (200, 3)) + rng.uniform(-0.15, 0.15, (200, 3))
     cells, room = sort_into_cells(points, 2.0), make_room(1)
-    x = room.about[:, : look_at(cells, 0, np.arange(cells.begin[1]), room.about)].T
+    x = room.about[:, : look_at(cells, 0, np.zeros(1, np.int64), len(points), room.about)].T
     normals, heights = np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0]]), np.median(x, axis=0)[[2, 0]]
     room.found[:2, :3], room.found[:2, 3] = normals, heights
     room.ends[:2, :2] = [[0.0, 1.0], [-1.0, 0.0]]
