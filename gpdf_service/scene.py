@@ -45,7 +45,7 @@ from gpdf_service.perception import (
 )
 from gpdf_service.perception.budget import give_back
 from gpdf_service.perception.noisy import NOISE_STEP
-from gpdf_service.perception.segment import LEAST_SCATTER, Grain
+from gpdf_service.perception.segment import ANY, LEAST_SCATTER, Grain
 from gpdf_service.search.change import change_free_space
 from gpdf_service.search.free_space import FreeSpace, Setup, build_free_space
 from gpdf_service.search.keep import from_arrays, to_arrays
@@ -256,7 +256,7 @@ class Scene:
         if self.perceived is None:
             return None
         found = self.perceived.found
-        grain = Grain(self.surfaces[0].cell_width) if found.grain is None else found.grain
+        grain = found.grain or Grain(self.surfaces[0].cell_width)
         return Sampling(grain, self.noise, None if found.noisy is None else found.noisy.tiles)
 
     @property
@@ -621,11 +621,11 @@ def assemble_scene(
     found = cure_and_segment(cloud, labels, config.perception, known)
     give_back(len(cloud))
     progress("build levels", 0.4)
-    grain = found.grain if found.grain is not None or known is None else known.grain
+    grain = found.grain or (ANY if known is None else known.grain)
     measured, ground = found.cloud
     rays = None if origins is None else rays_of(measured, origins)
     own = found.points, found.ground, config.perception
-    levels, survey = survey_levels(*own, width=None if grain is None else grain.width, noise=found.spread, rays=rays)
+    levels, survey = survey_levels(*own, width=grain.width, noise=found.spread, rays=rays)
     give_back(len(cloud))
     progress("fit ground fields", 0.7)
     fields = _fit_grounds(levels, config, like, range(len(like.surfaces)) if like is not None else ())

@@ -156,9 +156,9 @@ def under(prefix: str, arrays: Mapping[str, NDArray[Any]]) -> Arrays:
 
 
 def flatten(value: object, prefix: str) -> Arrays:
-    """Turn nested dataclasses and tuples of arrays and numbers into named arrays."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        parts = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
+    """Turn nested dataclasses, named and other tuples of arrays and numbers into named arrays."""
+    if names := _names_of(type(value)):
+        parts = {name: getattr(value, name) for name in names}
     elif isinstance(value, tuple):
         parts = {str(i): part for i, part in enumerate(value)}
     else:
@@ -169,12 +169,11 @@ def flatten(value: object, prefix: str) -> Arrays:
     return made
 
 
-def restore(kind: Any, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Any:  # noqa: ANN401 - any dataclass
+def restore(kind: Any, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Any:  # noqa: ANN401 - any of these
     """Rebuild what `flatten` took apart; `kind` is its type."""
-    if dataclasses.is_dataclass(kind) and isinstance(kind, type):
+    if names := _names_of(kind):
         hints = _hints(kind)
-        parts = {f.name: restore(hints[f.name], arrays, f"{prefix}/{f.name}") for f in dataclasses.fields(kind)}
-        return kind(**parts)
+        return kind(**{name: restore(hints[name], arrays, f"{prefix}/{name}") for name in names})
     if typing.get_origin(kind) is tuple:
         (item, *_) = typing.get_args(kind)
         beneath = under(f"{prefix}/", arrays)
@@ -186,6 +185,14 @@ def restore(kind: Any, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Any: 
     if isinstance(kind, type) and kind in (int, float, bool, str) and not isinstance(kind, types.GenericAlias):
         return kind(value)
     return value
+
+
+def _names_of(kind: Any) -> tuple[str, ...]:  # noqa: ANN401 - any type
+    """The fields of a dataclass or a named tuple; none of another type."""
+    if isinstance(kind, type) and dataclasses.is_dataclass(kind):
+        return tuple(each.name for each in dataclasses.fields(kind))
+    names: tuple[str, ...] = getattr(kind, "_fields", ())
+    return names
 
 
 @cache

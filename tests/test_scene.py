@@ -175,15 +175,16 @@ def test_a_scene_file_keeps_no_more_free_spaces_than_a_scene(office, tmp_path, m
     assert gpdf.load_scene(tmp_path / "b.gpdf").info()["agents_ready"] == ["roomba"]
 
 
-def test_a_free_space_with_a_part_missing_is_an_error(office, tmp_path):
+@pytest.mark.parametrize("part", ["order", "quadtree/size"])
+def test_a_free_space_with_a_part_missing_is_an_error(office, tmp_path, part):
     scene = office[1]
     scene.forget_agents()
     scene.free_space("human")
     scene.save(tmp_path / "a.gpdf")
     arrays, meta, _ = read_arrays(tmp_path / "a.gpdf")
-    del arrays["agents/0/0/order"]
+    del arrays[f"agents/0/0/{part}"]
     write_arrays(tmp_path / "b.gpdf", arrays, meta)
-    with pytest.raises(SceneFileError, match="order"):
+    with pytest.raises(SceneFileError, match=part):
         gpdf.load_scene(tmp_path / "b.gpdf").free_space("human")
 
 

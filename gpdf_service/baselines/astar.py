@@ -33,8 +33,9 @@ def _enter(world: FlatWorld, xy: FloatArray) -> int | None:
     """The nearest free leaf whose centre is reached from `xy` on a clear line."""
     leaves = world.leaves
     free = np.flatnonzero(leaves.free)
-    gap = np.linalg.norm(leaves.center[free] - xy, axis=1) - leaves.half_size[free]
+    center = leaves.center
+    gap = np.linalg.norm(center[free] - xy, axis=1) - leaves.half_size[free]
     for leaf in free[np.argsort(gap)[:NEAREST_LEAVES]]:
-        if is_clear(world.tree, xy, leaves.center[leaf], world.radius):
+        if is_clear(world.tree, xy, center[leaf], world.radius):
             return int(leaf)
     return None

@@ -61,12 +61,10 @@ class FlatWorld:
     @cached_property
     def graph(self) -> Graph:
         """The free leaves, joined."""
-        leaves = self.leaves
-        pairs, via = find_edges(leaves, self.tree, self.radius)
+        leaves, center = self.leaves, self.leaves.center
+        edges = find_edges(leaves, self.tree, self.radius)
         levels = np.zeros(len(leaves.size), dtype=np.int64)
-        return assemble(
-            leaves.center, levels, (pairs, via), price_pairs(leaves.center, leaves.clearance, (pairs, via), self.radius)
-        )
+        return assemble(center, levels, edges, price_pairs(center, leaves.clearance, edges, self.radius))
 
     @cached_property
     def occupancy(self) -> Occupancy:

@@ -13,7 +13,7 @@ from gpdf_service.ground import GroundLevel
 from gpdf_service.kernel_cache import load_kept
 from gpdf_service.pipeline import build_scene
 from gpdf_service.scene import Scene, assemble_scene
-from gpdf_service.types import FloatArray
+from gpdf_service.types import BoolArray, FloatArray
 
 SIDE = 1.0
 """[m] Of the square in plan that a change takes away or fills."""
@@ -82,9 +82,15 @@ def _changes(scene: Scene, count: int, rng: np.random.Generator) -> Iterator[dic
             eyes = {"origins": began[rng.integers(len(began))]} if scene.rays else {}
             yield {"insert": fresh} | labels | eyes
         else:
-            gone = (np.abs(points[:, :2] - place[:2]) < 0.5 * SIDE).all(axis=1)
+            gone = around(points, place, 0.5 * SIDE)
             points = points[~gone]
             yield {"remove": np.flatnonzero(gone)}
+
+
+def around(points: FloatArray, place: FloatArray, half: float) -> BoolArray:
+    """Which points (n, 3) are in a square of half such a side around a place in plan [m], shape (n,)."""
+    off = np.abs(points[:, :2] - place[:2])
+    return (off[:, 0] < half) & (off[:, 1] < half)
 
 
 def from_scratch(scene: Scene) -> Scene:

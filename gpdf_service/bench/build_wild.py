@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from gpdf_service.bench.build_changes import differences, from_scratch
+from gpdf_service.bench.build_changes import around, differences, from_scratch
 from gpdf_service.bench.report import Row
 from gpdf_service.errors import CloudError
 from gpdf_service.pipeline import build_scene
 from gpdf_service.scene import Scene
 from gpdf_service.synthetic.places import PLACES
 from gpdf_service.synthetic.scanners import NOISE, SCANNERS, Scan
-from gpdf_service.types import BoolArray, FloatArray
+from gpdf_service.types import FloatArray
 
 CHANGES = 10
 """Of a place, one after another, if nothing else is asked."""
@@ -89,7 +89,7 @@ def measure_wild(scan: Scan, labels: bool, origins: bool, changes: int, rng: Rng
         return row | {"refused": 1}
     for _ in range(changes):
         kind = list(KINDS)[rng.integers(len(KINDS))]
-        change = _with_more(KINDS[kind](scene, later.points, rng), scene, rng)
+        change = _with_more(KINDS[kind](scene.points, later.points, rng), scene, rng)
         try:
             scene = scene.update(**change)
         except CloudError:
@@ -110,61 +110,50 @@ def _with_more(change: Change, scene: Scene, rng: Rng) -> Change:
     return change | labels | (eyes if count and scene.rays and rng.random() < 0.5 else {})
 
 
-def _around(points: FloatArray, place: FloatArray, half: float) -> BoolArray:
-    """Which points (n, 3) are in a square in plan around a place, shape (n,)."""
-    off = np.abs(points[:, :2] - place[:2])
-    return (off[:, 0] < half) & (off[:, 1] < half)
+def _place(points: FloatArray, rng: Rng) -> tuple[FloatArray, float]:
+    """A point of a scene, and half of the side of a square around it [m]."""
+    return points[rng.integers(len(points))], float(rng.uniform(0.1, WIDEST))
 
 
-def _place(scene: Scene, rng: Rng) -> tuple[FloatArray, float]:
-    """A point of the scene, and half of the side of a square around it [m]."""
-    return scene.points[rng.integers(len(scene.points))], float(rng.uniform(0.1, WIDEST))
-
-
-def _taken_away(scene: Scene, later: FloatArray, rng: Rng) -> Change:
+def _taken_away(points: FloatArray, _: FloatArray, rng: Rng) -> Change:
     """All in a square."""
-    del later
-    return {"remove": _around(scene.points, *_place(scene, rng))}
+    return {"remove": around(points, *_place(points, rng))}
 
 
-def _put_in(scene: Scene, later: FloatArray, rng: Rng) -> Change:
+def _put_in(points: FloatArray, _: FloatArray, rng: Rng) -> Change:
     """A box of points, or a few of them."""
-    del later
-    place, half = _place(scene, rng)
+    place, half = _place(points, rng)
     return {"insert": place + rng.uniform(-0.5 * half, 0.5 * half, (rng.integers(1, 800), 3))}
 
 
-def _seen_later(scene: Scene, later: FloatArray, rng: Rng) -> Change:
+def _seen_later(points: FloatArray, later: FloatArray, rng: Rng) -> Change:
     """What the scanner saw of a square, too."""
-    fresh = later[_around(later, *_place(scene, rng))]
+    fresh = later[around(later, *_place(points, rng))]
     return {"insert": fresh} if len(fresh) else {}
 
 
-def _board(scene: Scene, later: FloatArray, rng: Rng) -> Change:
+def _board(points: FloatArray, _: FloatArray, rng: Rng) -> Change:
     """A board somewhere over a place, in place of what is over it."""
-    del later
-    place, half = _place(scene, rng)
-    over = _around(scene.points, place, half) & (scene.points[:, 2] > place[2])
+    place, half = _place(points, rng)
+    over = around(points, place, half) & (points[:, 2] > place[2])
     x, y = np.meshgrid(np.arange(-half, half, 0.03), np.arange(-0.3, 0.3, 0.03))
     board = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, rng.uniform(0.0, 1.2))])
     return {"remove": over, "insert": place + board}
 
 
-def _scanned_again(scene: Scene, later: FloatArray, rng: Rng) -> Change:
+def _scanned_again(points: FloatArray, _: FloatArray, rng: Rng) -> Change:
     """What is there in a square, 4 mm off; of each voxel without a point one."""
-    del later
-    near = scene.points[_around(scene.points, *_place(scene, rng))]
+    near = points[around(points, *_place(points, rng))]
     return {"insert": near + rng.normal(0.0, 0.004, near.shape), "thin": float(rng.choice(THIN))}
 
 
-def _strays(scene: Scene, later: FloatArray, rng: Rng) -> Change:
+def _strays(points: FloatArray, _: FloatArray, rng: Rng) -> Change:
     """One to three points anywhere, within half a metre around the scene, too."""
-    del later
-    low, high = scene.points.min(axis=0) - 0.5, scene.points.max(axis=0) + 0.5
+    low, high = points.min(axis=0) - 0.5, points.max(axis=0) + 0.5
     return {"insert": rng.uniform(low, high, (rng.integers(1, 4), 3))}
 
 
-KINDS: dict[str, Callable[[Scene, FloatArray, Rng], Change]] = {
+KINDS: dict[str, Callable[[FloatArray, FloatArray, Rng], Change]] = {
     "taken away": _taken_away,
     "put in": _put_in,
     "seen later": _seen_later,
@@ -172,4 +161,4 @@ KINDS: dict[str, Callable[[Scene, FloatArray, Rng], Change]] = {
     "scanned again": _scanned_again,
     "strays": _strays,
 }
-"""What may change, from the scene, what of its scan comes later [m], shape (n, 3), and a source of chance."""
+"""What may change, from the points of the scene [m], those of its scan that come later [m], and a source of chance."""

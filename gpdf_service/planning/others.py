@@ -147,9 +147,9 @@ def find_others(space: FreeSpace, ends: Ends, wish: Wish, best: Route) -> Iterat
 def _aside(ways: Callable[..., Ways], ends: Ends, wish: Wish, best: Route) -> Iterator[Route]:
     """The cheapest way that avoids those before it, as long as that is worth it; then those that others prefer."""
     own, seen = ways(wish.prefer), list(best.legs)
-    width = 2.0 * own.spaces[0].agent.disc_radius
+    width, half_size = 2.0 * own.spaces[0].agent.disc_radius, own.half_size
     for _ in range(TRIES):
-        dearer = replace(own, graph=avoiding(own.graph, seen, width, own.half_size))
+        dearer = replace(own, graph=avoiding(own.graph, seen, width, half_size))
         raw = _find(dearer, ends, best.goal)
         found = _pulled(raw, wish, best.goal)
         if found.cost > WORTH * best.cost:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from gpdf_service.config import SearchConfig
 from gpdf_service.errors import SceneFileError
 from gpdf_service.fields import Gpdf, tree_of
@@ -19,8 +17,7 @@ def to_arrays(space: FreeSpace) -> Arrays:
     made: Arrays = {}
     for i, level in enumerate(space.levels):
         tree, (ends, via) = level.places.standing, level.edges
-        made |= flatten(level.standing, f"{i}/obstacles")
-        made |= {f"{i}/quadtree/{key}": np.asarray(value) for key, value in level.quadtree.standing._asdict().items()}
+        made |= flatten(level.standing, f"{i}/obstacles") | flatten(level.quadtree.standing, f"{i}/quadtree")
         made |= {f"{i}/field/{key}": value for key, value in level.obstacle_field.standing.to_arrays().items()}
         made |= {f"{i}/order": tree.order, f"{i}/begin": tree.begin, f"{i}/ends": ends, f"{i}/via": via}
     return made
@@ -45,13 +42,12 @@ def from_arrays(
 
 def _level_space(arrays: Arrays, level: GroundLevel, ground_field: Gpdf) -> LevelSpace:
     obstacles, order = restore(Obstacles, arrays, "obstacles"), arrays["order"]
-    quadtree = Quadtree._make(arrays[f"quadtree/{key}"] for key in Quadtree._fields)
     return level_space(
         level,
         ground_field,
         obstacles,
         tree_of(obstacles.points[order, :2], order, arrays["begin"]),
         Gpdf.from_arrays(under("field/", arrays), domain=level.surface),
-        quadtree._replace(width=float(quadtree.width)),
+        restore(Quadtree, arrays, "quadtree"),
         (arrays["ends"], arrays["via"]),
     )
