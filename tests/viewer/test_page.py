@@ -257,6 +257,7 @@ def test_start_and_goal_can_be_typed_and_be_names(operator, service):
         client.set_place("office", "door", [5.4, 3.4, 0.0])
     types(operator, "0.9, 0.9", "door")
     operator.sees("of clearance everywhere")
+    until(lambda: path_on_screen(operator) is not None)
     np.testing.assert_allclose(path_on_screen(operator)[[0, -1], :2], [(0.9, 0.9), (5.4, 3.4)], atol=0.05)
     types(operator, "0.9, 0.9", "nowhere at all")
     operator.sees("nowhere at all")
